@@ -1,0 +1,289 @@
+"""Limits of the arm: the range of each angle, its speed, and the bounds of one step (Eq. 4).
+
+The range is static; the bounds are what a step can reach inside it. Signs are those of
+kinecast.body.arm_angles, so both sides share one set of numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numba import njit
+
+from kinecast.body.arm_angles import USUAL_RANGE
+from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM
+from kinecast.errors import OptionError
+
+__all__ = ["AngleLimit", "JointLimits", "bounds", "speeds_within_wrist_speed", "violations"]
+
+TOLERANCE = 1e-9
+"""An angle this far [rad] outside its limit still counts as inside: round-off of FK and IK."""
+
+STRAIGHT = math.radians(2.0)
+"""θ4 below which, or as near to π, axial rotation says nothing and is not checked [rad]."""
+
+
+@dataclass(frozen=True)
+class AngleLimit:
+    """Range and speed of one angle.
+
+    Attributes:
+        lower: least angle [rad].
+        upper: greatest angle [rad].
+        speed: greatest speed either way [rad/s]; may be infinite.
+    """
+
+    lower: float
+    upper: float
+    speed: float
+
+
+# AAOS (1965), as the shoulder's in kinecast.body.arm_angles: pronation and supination 80; wrist flexion 80,
+# extension 70; ulnar deviation 30, radial 20.
+_PRONATION = (math.radians(-80.0), math.radians(80.0))
+_WRIST_FLEXION = (math.radians(-70.0), math.radians(80.0))
+_WRIST_DEVIATION = (math.radians(-20.0), math.radians(30.0))
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of one arm, the same for both sides; hard, and all of them options.
+
+    Attributes:
+        flexion: θ1, positive forward and up.
+        abduction: θ2, positive sideways; negative is adduction across the body.
+        axial_rotation: θ3, positive external (a bent forearm turns outward), negative internal.
+        elbow: θ4, positive bent.
+        pronation: θ5, positive turns the palm down, negative (supination) up; zero is the thumb up.
+        wrist_flexion: θ6, positive towards the palm.
+        wrist_deviation: θ7, positive ulnar (away from the thumb), negative radial.
+        wrist_speed: greatest speed of the wrist relative to the torso [m/s], carried to the angles through
+            the Jacobian; None for no such limit.
+
+    Raises:
+        OptionError: a range that is empty or beyond ±2π, or a speed that is not positive.
+    """
+
+    # Speeds of shoulder and elbow: a ceiling above real work, where the elbow's 99th percentile is 5.6 rad/s,
+    # its 99.9th 11.0 rad/s (recordings of assembly). Forearm and wrist carry only the hand.
+    flexion: AngleLimit = AngleLimit(*USUAL_RANGE[0], speed=12.0)
+    abduction: AngleLimit = AngleLimit(*USUAL_RANGE[1], speed=12.0)
+    axial_rotation: AngleLimit = AngleLimit(*USUAL_RANGE[2], speed=12.0)
+    elbow: AngleLimit = AngleLimit(*USUAL_RANGE[3], speed=12.0)
+    pronation: AngleLimit = AngleLimit(*_PRONATION, speed=20.0)
+    wrist_flexion: AngleLimit = AngleLimit(*_WRIST_FLEXION, speed=20.0)
+    wrist_deviation: AngleLimit = AngleLimit(*_WRIST_DEVIATION, speed=20.0)
+    wrist_speed: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, limit in self._named_angles():
+            if not -2.0 * math.pi <= limit.lower < limit.upper <= 2.0 * math.pi:
+                raise OptionError(
+                    f"limits.{name}: range [{limit.lower}, {limit.upper}] rad; lower must be below upper, "
+                    "both within [-2π, 2π]"
+                )
+            if not limit.speed > 0.0:
+                raise OptionError(f"limits.{name}: speed {limit.speed} rad/s is outside (0, ∞]")
+        if self.wrist_speed is not None and not self.wrist_speed > 0.0:
+            raise OptionError(f"limits.wrist_speed: {self.wrist_speed} m/s is outside (0, ∞]")
+
+    def widened(self, postures: Float[np.ndarray, "N 18"], share: float = 0.998) -> JointLimits:
+        """Limits whose ranges also hold the middle `share` of the postures seen; never narrower than before.
+
+        For markers that are not at the joints: their angles are offset, and an honest range is offset too.
+
+        Args:
+            postures: (N, 18) postures of training recordings; NaN is left out.
+            share: of the angles of each side to hold, in (0, 1].
+
+        Returns:
+            The wider limits; speeds stay.
+
+        Raises:
+            OptionError: share outside (0, 1].
+        """
+        if not 0.0 < share <= 1.0:
+            raise OptionError(f"share {share} is outside (0, 1]")
+        wider: list[AngleLimit] = []
+        for i, (_, limit) in enumerate(self._named_angles()[:4]):
+            lower, upper = limit.lower, limit.upper
+            for arm in (LEFT_ARM, RIGHT_ARM):
+                angles = postures[:, arm]
+                told = np.isfinite(angles).all(axis=-1)
+                if i == 2:
+                    told &= (angles[:, 3] > STRAIGHT) & (angles[:, 3] < math.pi - STRAIGHT)
+                if told.any():
+                    ends = np.quantile(angles[told, i], [0.5 * (1.0 - share), 0.5 * (1.0 + share)])
+                    lower, upper = min(lower, float(ends[0])), max(upper, float(ends[1]))
+            wider.append(AngleLimit(max(lower, -2.0 * math.pi), min(upper, 2.0 * math.pi), limit.speed))
+        flexion, abduction, axial_rotation, elbow = wider
+        return replace(self, flexion=flexion, abduction=abduction, axial_rotation=axial_rotation, elbow=elbow)
+
+    def _named_angles(self) -> list[tuple[str, AngleLimit]]:
+        return [(f.name, getattr(self, f.name)) for f in fields(self) if f.name != "wrist_speed"]
+
+    @property
+    def lower(self) -> Float[np.ndarray, " 7"]:
+        """(7,) least angles θ1 … θ7 [rad]."""
+        return np.array([limit.lower for _, limit in self._named_angles()])
+
+    @property
+    def upper(self) -> Float[np.ndarray, " 7"]:
+        """(7,) greatest angles θ1 … θ7 [rad]."""
+        return np.array([limit.upper for _, limit in self._named_angles()])
+
+    @property
+    def speed(self) -> Float[np.ndarray, " 7"]:
+        """(7,) greatest speeds of θ1 … θ7 [rad/s]."""
+        return np.array([limit.speed for _, limit in self._named_angles()])
+
+    def of_posture(
+        self,
+    ) -> tuple[Float[np.ndarray, " 18"], Float[np.ndarray, " 18"], Float[np.ndarray, " 18"]]:
+        """(18,) lower [rad], upper [rad], speed [rad/s] of a posture; infinite for all but the arm angles."""
+        lower, upper, speed = (np.full(POSTURE_SIZE, value) for value in (-np.inf, np.inf, np.inf))
+        places = list(ANGLES)
+        lower[places] = np.tile(self.lower[:4], 2)
+        upper[places] = np.tile(self.upper[:4], 2)
+        speed[places] = np.tile(self.speed[:4], 2)
+        return lower, upper, speed
+
+
+@njit(cache=True)
+def bounds(lower: float, upper: float, speed: float, previous: float, dt: float) -> tuple[float, float]:
+    """Eq. 4: lb = max(lower, θ − speed·dt), ub = min(upper, θ + speed·dt) (kernel).
+
+    From an angle too far outside its range to be back in one step, both bounds are the nearest reachable
+    value: full speed towards the range. They are never empty; without a previous angle (NaN) they are the
+    range.
+
+    Args:
+        lower: least angle [rad].
+        upper: greatest angle [rad].
+        speed: greatest speed [rad/s].
+        previous: the angle θ one step earlier [rad].
+        dt: length of the step [s].
+
+    Returns:
+        lb ≤ ub [rad], both within speed·dt of the previous angle.
+    """
+    if math.isnan(previous):
+        return lower, upper
+    least, most = previous - speed * dt, previous + speed * dt
+    return min(max(lower, least), most), max(min(upper, most), least)
+
+
+@njit(cache=True)
+def speeds_within_wrist_speed(
+    posture: np.ndarray, speed: np.ndarray, wrist_speed: float, out: np.ndarray
+) -> None:
+    """Speeds that also hold the wrist's: min(speed_i, v / |∂wrist/∂θ_i|), each angle alone (kernel).
+
+    Args:
+        posture: (18,) posture the step starts from.
+        speed: (18,) greatest speeds [rad/s].
+        wrist_speed: greatest speed v of a wrist relative to the torso [m/s]; infinite for none.
+        out: (18,) receives the speeds [rad/s].
+    """
+    out[:] = speed
+    if math.isinf(wrist_speed):
+        return
+    for at in (6, 12):
+        upper, fore = posture[at + 4], posture[at + 5]
+        s2, c2 = math.sin(posture[at + 1]), math.cos(posture[at + 1])
+        across = fore * math.sin(posture[at + 3])
+        along = upper + fore * math.cos(posture[at + 3])
+        ahead = across * math.cos(posture[at + 2])
+        outward = across * math.sin(posture[at + 2])
+        swing = c2 * along - s2 * outward
+        lever = (math.hypot(ahead, swing), math.hypot(along, outward), math.fabs(across), fore)
+        for i in range(4):
+            if lever[i] * speed[at + i] > wrist_speed:
+                out[at + i] = wrist_speed / lever[i]
+
+
+@njit(cache=True)
+def _violations(
+    postures: np.ndarray,
+    initial: np.ndarray,
+    dt: float,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    speed: np.ndarray,
+    wrist_speed: float,
+    position: np.ndarray,
+    fast: np.ndarray,
+) -> None:
+    ceiling = speed.copy()
+    low, high = lower.copy(), upper.copy()
+    for series in range(postures.shape[0]):
+        # A start outside the range widens it, and the excuse closes at full speed.
+        for i in range(18):
+            low[i] = initial[i] if initial[i] < lower[i] else lower[i]
+            high[i] = initial[i] if initial[i] > upper[i] else upper[i]
+        for step in range(postures.shape[1]):
+            now = postures[series, step]
+            before = initial if step == 0 else postures[series, step - 1]
+            if not math.isinf(wrist_speed):
+                speeds_within_wrist_speed(before, speed, wrist_speed, ceiling)
+            outside = False
+            quick = False
+            for at in (6, 12):
+                straight = not STRAIGHT < now[at + 3] < math.pi - STRAIGHT
+                was_straight = not STRAIGHT < before[at + 3] < math.pi - STRAIGHT
+                for i in range(at, at + 4):
+                    reach = ceiling[i] * dt
+                    low[i] = min(lower[i], low[i] + reach)
+                    high[i] = max(upper[i], high[i] - reach)
+                    if i == at + 2 and straight:
+                        continue
+                    outside |= now[i] < low[i] - TOLERANCE or now[i] > high[i] + TOLERANCE
+                    if i == at + 2 and was_straight:
+                        continue
+                    quick |= math.fabs(now[i] - before[i]) > reach + TOLERANCE
+            position[series, step] = outside
+            fast[series, step] = quick
+
+
+def violations(
+    postures: Float[np.ndarray, "*batch T 18"],
+    initial: Float[np.ndarray, " 18"],
+    dt: float,
+    limits: JointLimits,
+) -> tuple[Bool[np.ndarray, "*batch T"], Bool[np.ndarray, "*batch T"]]:
+    """Which steps leave the range of an arm angle, and which move one faster than its speed.
+
+    Both count only by more than 1e-9 rad, and NaN violates nothing. Axial rotation is not checked where the
+    elbow is within 2° of straight. A series that starts outside the range (`initial`) is excused as far as
+    Eq. 4's closed bounds excuse it: it must come back at full speed. Angles are taken as they are, on the
+    branch and turn given.
+
+    Args:
+        postures: (…, T, 18) postures, dt apart.
+        initial: (18,) posture dt before the first one; NaN for none.
+        dt: length of a step [s].
+        limits: the limits.
+
+    Returns:
+        (…, T) position violations and (…, T) speed violations.
+    """
+    lower, upper, speed = limits.of_posture()
+    batch, steps = postures.shape[:-2], postures.shape[-2]
+    series = math.prod(batch)
+    position = np.zeros((series, steps), dtype=np.bool_)
+    fast = np.zeros((series, steps), dtype=np.bool_)
+    _violations(
+        np.ascontiguousarray(postures, dtype=np.float64).reshape(series, steps, POSTURE_SIZE),
+        np.ascontiguousarray(initial, dtype=np.float64),
+        dt,
+        lower,
+        upper,
+        speed,
+        math.inf if limits.wrist_speed is None else limits.wrist_speed,
+        position,
+        fast,
+    )
+    return position.reshape(*batch, steps), fast.reshape(*batch, steps)

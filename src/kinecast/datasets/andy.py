@@ -1,0 +1,124 @@
+"""ANDY: Xsens motion with the action labels of three annotators."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.datasets import mvnx, xsens_csv
+from kinecast.datasets.compressed import base_name, read_bytes
+from kinecast.datasets.delimited import number
+from kinecast.datasets.recording import Recording
+from kinecast.errors import DatasetError
+
+__all__ = ["ACTIONS", "NO_MAJORITY", "load", "matches"]
+
+ACTIONS = {
+    "Re": "reaching", "Pi": "picking", "Pl": "placing", "Rl": "release", "Ca": "carrying",
+    "Fm": "fine manipulation", "Sc": "screwing", "Id": "idle",
+}  # fmt: skip
+"""Names of the short labels of current_action."""
+
+NO_MAJORITY = "NONE"
+"""Label of a window in which no action has more votes than every other."""
+
+_WINDOW = 0.25  # [s], as the dataset's authors vote
+_TRACK = "current_action"
+_TRIAL = re.compile(r"participant_?(\d+)_(setup_?\w+?_seq(?:uence)?_?\d+)", re.IGNORECASE)
+
+
+def matches(path: Path) -> bool:
+    """Whether a file is Xsens motion with a label file, beside it or in the folder of annotations."""
+    return (mvnx.matches(path) or xsens_csv.matches(path)) and _label_file(path) is not None
+
+
+def load(path: Path) -> list[Recording]:
+    """One trial with the label of each frame: the annotators' majority over 0.25 s windows, ties `NONE`.
+
+    Args:
+        path: an MVNX file or its csv twin; its labels lie beside it, or in a folder above it in
+            `annotations/labels_csv2/<participant>/<trial>.labels.csv`.
+
+    Returns:
+        One recording; subject and task are read from the trial's name.
+
+    Raises:
+        DatasetError: the motion or the label file is not as expected, or there are no labels.
+    """
+    labels = _label_file(path)
+    if labels is None:
+        raise DatasetError(
+            path, f"no {mvnx.sequence_name(path)}.labels.csv beside it or in annotations/labels_csv2 above"
+        )
+    (motion,) = mvnx.load(path) if mvnx.matches(path) else xsens_csv.load(path)
+    trial = _TRIAL.search(motion.name)
+    return [
+        replace(
+            motion,
+            format="andy",
+            subject=trial[1] if trial else motion.subject,
+            task=trial[2] if trial else "",
+            labels=_frame_labels(labels, motion.stamps),
+        )
+    ]
+
+
+def _label_file(path: Path) -> Path | None:
+    """The label file of a trial; names are compared without case."""
+    wanted = f"{mvnx.sequence_name(path)}.labels".casefold()
+    folder = path.absolute().parent
+    above = (parent / "annotations" / "labels_csv2" for parent in folder.parents)
+    beside = folder.glob("*.labels.csv*")
+    for file in [
+        *beside,
+        *(file for place in above if place.is_dir() for file in sorted(place.glob("*/*.labels.csv*"))),
+    ]:
+        if base_name(file).casefold() == wanted:
+            return file
+    return None
+
+
+def _frame_labels(file: Path, stamps: Float[np.ndarray, " N"]) -> tuple[str, ...]:
+    """Majority label of the window each stamp lies in."""
+    votes: dict[int, Counter[str]] = {}
+    reader = csv.reader(io.StringIO(read_bytes(file).decode("utf-8-sig", errors="replace")))
+    header = next(reader, [])
+    tracks = [
+        place for place, name in enumerate(header) if re.fullmatch(rf"{_TRACK}_Annotator\d", name.strip())
+    ]
+    if not tracks or header[0].strip() != "t_video":
+        expected = f"t_video, …, {_TRACK}_Annotator1, …"
+        raise DatasetError(f"{file}, line 1", f"header is {','.join(header)[:60]!r}, expected {expected}")
+    for cells in reader:
+        where = f"{file}, line {reader.line_num}"
+        if not cells:
+            continue
+        if len(cells) != len(header):
+            raise DatasetError(where, f"{len(cells)} columns, expected {len(header)}")
+        window = _window(number(cells[0], where, "t_video"))
+        given = (cells[place].strip() for place in tracks)
+        votes.setdefault(window, Counter()).update(_action(label) for label in given if label)
+    winners = {window: _majority(counter) for window, counter in votes.items()}
+    return tuple(winners.get(_window(float(stamp)), NO_MAJORITY) for stamp in stamps)
+
+
+def _window(stamp: float) -> int:
+    """Index of the window a time [s] lies in; a time a rounding error short of a border counts as on it."""
+    return int(np.floor(stamp / _WINDOW + 1e-6))
+
+
+def _majority(votes: Counter[str]) -> str:
+    first, *second = votes.most_common(2) or [(NO_MAJORITY, 0)]
+    return NO_MAJORITY if second and second[0][1] == first[1] else first[0]
+
+
+def _action(label: str) -> str:
+    """One name for an action, written short or long."""
+    return ACTIONS.get(label.capitalize(), label.replace("_", " ").lower())

@@ -1,0 +1,77 @@
+"""KTH handover folders: giver and taker, one csv file a body segment."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.skeleton import KTH_13
+from kinecast.datasets.compressed import read_bytes
+from kinecast.datasets.delimited import rows, split_lines
+from kinecast.datasets.recording import Recording
+from kinecast.errors import DatasetError
+
+__all__ = ["load", "matches"]
+
+_RATE = 120.0
+_HEADER = "x,y,z,q0,q1,q2,q3"
+_FILE = re.compile(r"(giver|taker)_(\w+)_pose_saved\.csv(?:\.gz|\.xz)?")
+
+
+def matches(path: Path) -> bool:
+    """Whether a folder holds `giver_*_pose_saved.csv` or `taker_*` files."""
+    return path.is_dir() and any(_FILE.fullmatch(file.name) for file in path.iterdir())
+
+
+def load(path: Path) -> list[Recording]:
+    """One handover, named `<folder>/giver` and `<folder>/taker`.
+
+    Args:
+        path: the folder of one handover; files of other things in it (baton, wrenches) are passed over.
+
+    Returns:
+        One recording a person.
+
+    Raises:
+        DatasetError: there are no segment files, one has another header, or their lengths differ.
+    """
+    if not matches(path):
+        raise DatasetError(
+            path, "expected a folder of giver_<segment>_pose_saved.csv and taker_<segment>_pose_saved.csv"
+        )
+    files: dict[str, dict[str, Path]] = {}
+    for file in sorted(path.iterdir()):
+        if found := _FILE.fullmatch(file.name):
+            files.setdefault(found[1], {})[found[2]] = file
+    return [_person(path, person, segments) for person, segments in sorted(files.items())]
+
+
+def _person(path: Path, person: str, segments: dict[str, Path]) -> Recording:
+    tracks = [_track(file) for file in segments.values()]
+    for file, track in zip(segments.values(), tracks, strict=True):
+        if len(track) != len(tracks[0]):
+            raise DatasetError(
+                file, f"{len(track)} rows, but {next(iter(segments.values())).name} has {len(tracks[0])}"
+            )
+    return Recording(
+        name=f"{path.absolute().name}/{person}",
+        joints=KTH_13.canonical(segments, path),
+        stamps=np.arange(len(tracks[0])) / _RATE,
+        positions=np.stack(tracks, axis=1),
+        rate=_RATE,
+        source=path,
+        format="kth-handover",
+        person=person,
+        task="handover",
+    )
+
+
+def _track(file: Path) -> Float[np.ndarray, "N 3"]:
+    """(N, 3) origin of one segment [m]."""
+    (header,), data = split_lines(read_bytes(file), 1, file)
+    if header != _HEADER:
+        raise DatasetError(f"{file}, line 1", f"header is {header[:60]!r}, expected {_HEADER!r}")
+    return rows(data, 7, file, first_line=2)[:, :3]

@@ -1,0 +1,67 @@
+"""LEGO assembly text files (human_assembly_data): both arms in camera axes, without times."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from kinecast.body.skeleton import LEGO_6
+from kinecast.datasets.axes import from_camera
+from kinecast.datasets.compressed import base_name, head, read_bytes
+from kinecast.datasets.delimited import rows
+from kinecast.datasets.recording import Recording
+
+__all__ = ["load", "matches"]
+
+_ASSUMED_RATE = 30.0
+_COLUMNS = 18
+
+
+def matches(path: Path) -> bool:
+    """Whether a file's first line is several words apart by white space, most of them numbers."""
+    if not path.is_file():
+        return False
+    words = head(path).partition(b"\n")[0].split()
+    numbers = sum(_is_number(word) for word in words)
+    return len(words) >= 6 and 2 * numbers > len(words)
+
+
+def load(path: Path) -> list[Recording]:
+    """One trial, named `Task1/Human1/trial1` after its folders where they are the dataset's.
+
+    Args:
+        path: text of 18 numbers a line, in metres.
+
+    Returns:
+        One recording of the six arm joints, at an assumed 30 Hz.
+
+    Raises:
+        DatasetError: a line is not 18 numbers.
+    """
+    table = rows(read_bytes(path), _COLUMNS, path, delimiter=None)
+    *_, task, person, _ = ("", "", *path.absolute().parts)
+    known = re.fullmatch(r"Human\d+", person) is not None
+    return [
+        Recording(
+            name=f"{task}/{person}/{base_name(path)}" if known else base_name(path),
+            joints=LEGO_6.joints,
+            stamps=np.arange(len(table)) / _ASSUMED_RATE,
+            positions=from_camera(table.reshape(-1, 6, 3)),
+            rate=_ASSUMED_RATE,
+            source=path,
+            format="lego",
+            subject=person if known else "",
+            task=task if known else "",
+            notes=("rate not stated by the format; 30 Hz assumed",),
+        )
+    ]
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

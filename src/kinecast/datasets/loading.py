@@ -1,0 +1,194 @@
+"""Recordings from any file or folder: the format is found by content, and what was loaded is checked."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.skeleton import ARM_JOINTS, require_arms
+from kinecast.datasets import (
+    andy,
+    bvh,
+    ha4m,
+    ha4m_features,
+    kth_handover,
+    lego,
+    mvnx,
+    table,
+    vicon,
+    xsens_csv,
+)
+from kinecast.datasets.bvh import CENTIMETRES_Y_UP, BvhOptions
+from kinecast.datasets.recording import Recording
+from kinecast.errors import DatasetError, OptionError
+
+__all__ = ["BONE_RANGE", "FORMATS", "check", "load", "load_all"]
+
+BONE_RANGE = (0.10, 0.60)
+"""Shortest and longest believable median upper arm or forearm [m]. Adults' are 0.2 to 0.4 m; between marker
+clusters, which sit beside the joints, 0.13 to 0.32 m are measured."""
+
+_BONES = (
+    ("left_shoulder", "left_elbow"), ("left_elbow", "left_wrist"),
+    ("right_shoulder", "right_elbow"), ("right_elbow", "right_wrist"),
+)  # fmt: skip
+_UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
+
+
+@dataclass(frozen=True)
+class _Format:
+    """A format: its name on the command line, whether a path is of it, and how it is loaded."""
+
+    name: str
+    matches: Callable[[Path], bool]
+    load: Callable[[Path], list[Recording]]
+
+
+def _formats(options: BvhOptions) -> tuple[_Format, ...]:
+    """Every format, in the order they are tried: folders, then andy before the mvnx it contains."""
+    return (
+        _Format("kth-handover", kth_handover.matches, kth_handover.load),
+        _Format("ha4m", ha4m.matches, ha4m.load),
+        _Format("ha4m-features", ha4m_features.matches, ha4m_features.load),
+        _Format("andy", andy.matches, andy.load),
+        _Format("mvnx", mvnx.matches, mvnx.load),
+        _Format("mvnx", xsens_csv.matches, xsens_csv.load),
+        _Format("bvh", bvh.matches, partial(bvh.load, options=options)),
+        _Format("vicon", vicon.matches, vicon.load),
+        _Format("table", table.matches, table.load),
+        _Format("lego", lego.matches, lego.load),
+    )
+
+
+FORMATS = tuple(sorted({each.name for each in _formats(CENTIMETRES_Y_UP)}))
+"""Names of the formats, as `load` takes them."""
+
+
+def load(
+    path: Path, format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP
+) -> list[Recording]:
+    """Every recording in a file or folder.
+
+    Args:
+        path: a file, or a folder searched with all folders in it. Hidden ones and files that match no
+            format are passed over.
+        format: one of `FORMATS`; None to find it by content.
+        bvh_options: unit and vertical axis of BVH files.
+
+    Returns:
+        At least one recording, by path; names are unique.
+
+    Raises:
+        DatasetError: nothing is found, a file does not match its format, or a recording fails `check`.
+        OptionError: the format is unknown.
+    """
+    return load_all([path], format, bvh_options)
+
+
+def load_all(
+    paths: Sequence[Path], format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP
+) -> list[Recording]:
+    """Every recording in several files or folders, each loaded once; otherwise as `load`."""
+    if format is not None and format not in FORMATS:
+        raise OptionError(f"format is {format!r}, expected one of {', '.join(FORMATS)}")
+    formats = [each for each in _formats(bvh_options) if format in (None, each.name)]
+    sources: dict[Path, tuple[Path, _Format]] = {}
+    for path in paths:
+        if not path.exists():
+            raise DatasetError(path, "no such file or folder")
+        try:
+            found = list(_sources(path, formats))
+        except OSError as error:
+            raise DatasetError(path, f"cannot be searched: {error}") from error
+        if not found and format is not None and path.is_file():
+            found = [(path, formats[0])]  # its loader knows best what does not match
+        if not found:
+            tried = ", ".join(dict.fromkeys(each.name for each in formats))
+            raise DatasetError(path, f"no recording found; formats tried: {tried}")
+        sources |= {source.resolve(): (source, each) for source, each in found}
+    recordings = []
+    for source, each in sources.values():
+        for recording in each.load(source):
+            check(recording, source)
+            recordings.append(recording)
+    return _with_unique_names(recordings)
+
+
+def check(recording: Recording, where: object) -> None:
+    """Check that a recording is of a person's two arms, in metres.
+
+    Args:
+        recording: as loaded.
+        where: file or folder, for the message.
+
+    Raises:
+        DatasetError: fewer than 2 frames, an arm joint that is not tracked or never seen, a position that is
+            infinite, or a median arm bone outside `BONE_RANGE`.
+    """
+    place = where if recording.person == "0" else f"{where}, person {recording.person}"
+    frames = len(recording.stamps)
+    if frames < 2:
+        raise DatasetError(place, f"{frames} frame; at least 2 are needed")
+    require_arms(recording.joints, place)
+    infinite = np.isinf(recording.positions).any(axis=(1, 2))
+    if infinite.any():
+        raise DatasetError(f"{place}, frame {int(np.argmax(infinite)) + 1}", "a position is infinite")
+    unseen = [joint for joint in ARM_JOINTS if np.isnan(recording.joint(joint)).any(axis=-1).all()]
+    if unseen:
+        raise DatasetError(place, f"{', '.join(unseen)} missing in every one of {frames} frames")
+    for upper, lower in _BONES:
+        lengths = np.linalg.norm(recording.joint(upper) - recording.joint(lower), axis=-1)
+        _check_bone(lengths[np.isfinite(lengths)], f"{upper} to {lower}", place)
+
+
+def _check_bone(lengths: Float[np.ndarray, " N"], bone: str, where: object) -> None:
+    if not len(lengths):
+        raise DatasetError(where, f"{bone} are never seen together")
+    shortest, longest = BONE_RANGE
+    median = float(np.median(lengths))
+    if shortest <= median <= longest:
+        return
+    guess = next((unit for scale, unit in _UNITS if shortest <= median / scale <= longest), None)
+    advice = f"; the file seems to be in {guess}" if guess else ""
+    allowed = f"an arm's bone is {shortest} to {longest} m"
+    raise DatasetError(where, f"{bone} is {median:.4g} m (median), but {allowed}{advice}")
+
+
+def _sources(path: Path, formats: Sequence[_Format]) -> Iterator[tuple[Path, _Format]]:
+    """Every file or folder at or below a path that one of the formats matches, in natural order."""
+    matching = next((each for each in formats if each.matches(path)), None)
+    if matching:
+        yield path, matching
+    elif path.is_dir():
+        for child in sorted(path.iterdir(), key=_natural_order):
+            if not child.name.startswith(".") and not (child.is_symlink() and child.is_dir()):
+                yield from _sources(child, formats)
+
+
+def _natural_order(path: Path) -> tuple[tuple[int, str], ...]:
+    """A key that puts `take 2` before `take 10`."""
+    return tuple((int(digits or 0), text) for digits, text in re.findall(r"(\d*)(\D*)", path.name))
+
+
+def _with_unique_names(recordings: list[Recording]) -> list[Recording]:
+    """Recordings of one name told apart by their folder, else by a number."""
+    again = Counter(recording.name for recording in recordings)
+    names = [
+        f"{recording.source.absolute().parent.name}/{recording.name}"
+        if recording.source and again[recording.name] > 1
+        else recording.name
+        for recording in recordings
+    ]
+    seen: Counter[str] = Counter()
+    unique = []
+    for recording, name in zip(recordings, names, strict=True):
+        seen[name] += 1
+        unique.append(replace(recording, name=name if seen[name] == 1 else f"{name}#{seen[name]}"))
+    return unique

@@ -1,0 +1,249 @@
+"""The file behind the table format: rows of (stamp, person, joint), as parquet or csv, with metadata."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from jaxtyping import Float, Int
+
+from kinecast.datasets.compressed import STREAM_LIMIT, head, read_bytes
+from kinecast.errors import DatasetError
+
+__all__ = ["MOST_ROWS", "Rows", "Words", "is_table", "read_rows", "write_rows"]
+
+MOST_ROWS = 20_000_000
+"""Rows beyond which a table is refused: eight hours of 23 joints at 30 Hz."""
+
+_METADATA_KEY = b"kinecast"
+_CSV_METADATA = b"# kinecast "
+_POSITION = ("x", "y", "z")
+_COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
+_REQUIRED = ("stamp", "person", "joint", *_POSITION)
+_WORDS = ("person", "joint", "label")
+_PARQUET_MAGIC = b"PAR1"
+
+
+@dataclass(frozen=True)
+class Words:
+    """A column of words, most of them repeated.
+
+    Attributes:
+        names: the different words.
+        codes: (R,) place in `names` of each row's word; −1 where it is missing.
+    """
+
+    names: tuple[str, ...]
+    codes: Int[np.ndarray, " R"]
+
+    @classmethod
+    def of(cls, words: Iterable[str | None]) -> Words:
+        """The column of these words; None is missing."""
+        places: dict[str, int] = {}
+        codes = [-1 if word is None else places.setdefault(word, len(places)) for word in words]
+        return cls(tuple(places), np.array(codes, dtype=np.int32))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a table holds, one row for each (stamp, person, joint).
+
+    Attributes:
+        stamp: (R,) [s].
+        person: (R,) person ids.
+        joint: (R,) joint names.
+        position: (R, 3) [m], z up; NaN where missing.
+        confidence: (R,) or None.
+        covariance: (R, 6) xx, xy, xz, yy, yz, zz of the position [m²], or None.
+        label: (R,) what the person is doing, or None.
+        metadata: rate, world frame, source and what else belongs to the whole; JSON values.
+    """
+
+    stamp: Float[np.ndarray, " R"]
+    person: Words
+    joint: Words
+    position: Float[np.ndarray, "R 3"]
+    confidence: Float[np.ndarray, " R"] | None = None
+    covariance: Float[np.ndarray, "R 6"] | None = None
+    label: Words | None = None
+    metadata: dict[str, Any] | None = None
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is parquet, or csv with the table's metadata or column names."""
+    start = head(path)
+    columns = {name.strip().strip(b'"') for name in start.partition(b"\n")[0].split(b",")}
+    return (
+        start.startswith((_PARQUET_MAGIC, _CSV_METADATA)) or {name.encode() for name in _REQUIRED} <= columns
+    )
+
+
+def write_rows(path: Path, rows: Rows) -> None:
+    """Write a table; the file appears whole or not at all.
+
+    Args:
+        path: ends in `.parquet` or `.csv`.
+        rows: what to write.
+
+    Raises:
+        DatasetError: the path has another ending, or cannot be written.
+    """
+    columns: dict[str, Any] = {
+        "stamp": rows.stamp,
+        "person": _array(rows.person),
+        "joint": _array(rows.joint),
+    }
+    columns |= {name: rows.position[:, place] for place, name in enumerate(_POSITION)}
+    if rows.confidence is not None:
+        columns["confidence"] = rows.confidence
+    if rows.covariance is not None:
+        columns |= {name: rows.covariance[:, place] for place, name in enumerate(_COVARIANCE)}
+    if rows.label is not None:
+        columns["label"] = _array(rows.label)
+    table = pa.table(columns)
+    metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
+    if path.suffix == ".parquet":
+        with _whole(path) as file:
+            pa.parquet.write_table(
+                table.replace_schema_metadata({_METADATA_KEY: metadata}), file, compression="zstd"
+            )
+    elif path.suffix == ".csv":
+        with _whole(path) as file:
+            file.write(_CSV_METADATA + metadata + b"\n")
+            pa.csv.write_csv(_plain_words(table), file)
+    else:
+        raise DatasetError(path, "a table is written as .parquet or .csv")
+
+
+def read_rows(path: Path) -> Rows:
+    """Read a table.
+
+    Raises:
+        DatasetError: the file is no table, lacks a column, holds another type in one, or has too many rows.
+    """
+    try:
+        table = _parquet(path) if head(path).startswith(_PARQUET_MAGIC) else _csv(path)
+        return _rows(table, path)
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(path, f"damaged table: {error}") from error
+
+
+def _parquet(path: Path) -> pa.Table:
+    file = pa.parquet.ParquetFile(
+        pa.BufferReader(read_bytes(path, STREAM_LIMIT)), read_dictionary=list(_WORDS)
+    )
+    if file.metadata.num_rows > MOST_ROWS:
+        raise DatasetError(path, f"{file.metadata.num_rows} rows, at most {MOST_ROWS} are allowed")
+    names = file.schema_arrow.names
+    return file.read(
+        columns=[name for name in (*_REQUIRED, "confidence", *_COVARIANCE, "label") if name in names]
+    )
+
+
+def _csv(path: Path) -> pa.Table:
+    text = read_bytes(path).removeprefix(b"\xef\xbb\xbf")
+    metadata = b""
+    if text.startswith(_CSV_METADATA):
+        first, _, text = text.partition(b"\n")
+        metadata = first.removeprefix(_CSV_METADATA)
+    numbers = ("stamp", *_POSITION, "confidence", *_COVARIANCE)
+    types = dict.fromkeys(numbers, pa.float64()) | dict.fromkeys(
+        _WORDS, pa.dictionary(pa.int32(), pa.string())
+    )
+    table = pa.csv.read_csv(
+        pa.BufferReader(text),
+        read_options=pa.csv.ReadOptions(use_threads=False),  # so that its messages name the row
+        parse_options=pa.csv.ParseOptions(newlines_in_values=True),
+        convert_options=pa.csv.ConvertOptions(
+            column_types=types, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False
+        ),
+    )
+    return table.replace_schema_metadata({_METADATA_KEY: metadata} if metadata else None)
+
+
+def _rows(table: pa.Table, path: Path) -> Rows:
+    """The table's columns as arrays, after a check that they are there."""
+    missing = [name for name in _REQUIRED if name not in table.column_names]
+    if missing:
+        raise DatasetError(path, f"no column {', '.join(missing)}; a table has {', '.join(_REQUIRED)}")
+    if table.num_rows > MOST_ROWS:
+        raise DatasetError(path, f"{table.num_rows} rows, at most {MOST_ROWS} are allowed")
+    for name in (name for name in table.column_names if name in _WORDS):
+        kind = table.schema.field(name).type
+        if not pa.types.is_string(kind.value_type if pa.types.is_dictionary(kind) else kind):
+            raise DatasetError(path, f"column {name} holds {kind}, expected words")
+    names = set(table.column_names)
+    return Rows(
+        stamp=_numbers(table, ("stamp",))[:, 0],
+        person=_words(table.column("person")),
+        joint=_words(table.column("joint")),
+        position=_numbers(table, _POSITION),
+        confidence=_numbers(table, ("confidence",))[:, 0] if "confidence" in names else None,
+        covariance=_numbers(table, _COVARIANCE) if names.issuperset(_COVARIANCE) else None,
+        label=_words(table.column("label")) if "label" in names else None,
+        metadata=_metadata(table, path),
+    )
+
+
+def _numbers(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray, "R C"]:
+    columns = [table.column(name).cast(pa.float64()).to_numpy() for name in names]
+    return np.stack(columns, axis=-1)
+
+
+def _words(column: pa.ChunkedArray) -> Words:
+    words = column.dictionary_encode().unify_dictionaries().combine_chunks()
+    if isinstance(words, pa.ChunkedArray):  # of no rows
+        return Words((), np.empty(0, dtype=np.int32))
+    return Words(tuple(words.dictionary.to_pylist()), words.indices.fill_null(-1).to_numpy().astype(np.int32))
+
+
+def _array(words: Words) -> pa.DictionaryArray:
+    missing = words.codes < 0
+    return pa.DictionaryArray.from_arrays(
+        pa.array(words.codes, mask=missing), pa.array(words.names, type=pa.string())
+    )
+
+
+def _plain_words(table: pa.Table) -> pa.Table:
+    """The table with words in full, as csv needs them."""
+    for name in (name for name in table.column_names if name in _WORDS):
+        table = table.set_column(table.column_names.index(name), name, table.column(name).cast(pa.string()))
+    return table
+
+
+def _metadata(table: pa.Table, path: Path) -> dict[str, Any] | None:
+    text = (table.schema.metadata or {}).get(_METADATA_KEY)
+    if text is None:
+        return None
+    try:
+        metadata = json.loads(text)
+    except ValueError as error:
+        raise DatasetError(path, f"metadata is not JSON: {error}") from error
+    if not isinstance(metadata, dict):
+        raise DatasetError(path, "metadata is not a JSON object")
+    return metadata
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[IO[bytes]]:
+    """A new file beside `path` that takes its place when all is written, and goes when it is not."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            try:
+                yield file
+            except BaseException:
+                os.unlink(file.name)
+                raise
+        os.replace(file.name, path)
+    except OSError as error:
+        raise DatasetError(path, f"cannot be written: {error}") from error

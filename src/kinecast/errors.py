@@ -1,0 +1,43 @@
+"""Every error kinecast raises: one root, a leaf for each thing a caller may want to catch apart."""
+
+from __future__ import annotations
+
+__all__ = ["DatasetError", "DownloadError", "KinecastError", "MissingExtraError", "ModelError", "OptionError"]
+
+
+class KinecastError(Exception):
+    """Root of all errors kinecast raises on purpose. The command line turns one into exit code 2."""
+
+
+class DatasetError(KinecastError, ValueError):
+    """A recording or scene file that does not match its format, or data too poor to use.
+
+    Args:
+        where: the file, and the line, frame or column where known, e.g. `"a.csv, line 7"`.
+        problem: what was found and what was expected.
+    """
+
+    def __init__(self, where: object, problem: str) -> None:
+        super().__init__(f"{where}: {problem}")
+        self.where = str(where)
+        self.problem = problem
+
+
+class ModelError(KinecastError, ValueError):
+    """A model file that cannot be read, is not kinecast's, or does not fit the recording."""
+
+
+class OptionError(KinecastError, ValueError):
+    """An option outside its allowed range; the message names the option, the value and the range."""
+
+
+class MissingExtraError(KinecastError, ImportError):
+    """A feature whose optional packages are not installed; the message is the pip command that mends it."""
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs optional packages: pip install 'kinecast[{extra}]'")
+        self.extra = extra
+
+
+class DownloadError(KinecastError, OSError):
+    """A download that failed, was incomplete, or whose checksum is wrong."""

@@ -1,0 +1,248 @@
+"""The protocol: every method sees the same windows of unseen recordings and is scored on what came next."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from kinecast.body.limits import JointLimits, violations
+from kinecast.body.posture import postures_from_points
+from kinecast.evaluation.bootstrap import block_bootstrap
+from kinecast.evaluation.metrics import LEVELS, crps, energy_score, is_moving, joint_errors, kde_nll, regions
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.forecast import Forecast, Method
+from kinecast.prediction.observation import Observation
+
+__all__ = ["EvaluationOptions", "TestRecording", "evaluate"]
+
+Progress = Callable[[int, int], None]
+
+NLL_JOINTS = 6
+"""NLL is reported per joint: the log density of the whole pose, six joints in m^18, divided by six."""
+
+
+@dataclass(frozen=True)
+class TestRecording:
+    """The windows of one unseen recording.
+
+    Attributes:
+        name: of the recording.
+        observations: W windows as a predictor sees them online.
+        future: (W, T, 6, 3) what was measured next [m], NaN where it was not.
+    """
+
+    __test__ = False  # not a pytest class
+
+    name: str
+    observations: Sequence[Observation]
+    future: Float[np.ndarray, "W T 6 3"]
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """How scores are taken.
+
+    Attributes:
+        samples: S, motions drawn per window.
+        repeats: how often the NLL is taken again with fresh random draws, for its histogram.
+        repeat_windows: windows, evenly spread over all, on which it is.
+        seed: of the draws and of the bootstrap.
+        limits: against which samples and truth are counted, whatever a method holds itself to.
+    """
+
+    samples: int = 1000
+    repeats: int = 25
+    repeat_windows: int = 60
+    seed: int = 0
+    limits: JointLimits = field(default_factory=JointLimits)
+
+
+@dataclass
+class _Scores:
+    """One method's scores, an entry a window."""
+
+    error: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
+    nll: list[Float[np.ndarray, " T"]] = field(default_factory=list)
+    kde: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
+    crps: list[Float[np.ndarray, "T 6 3"]] = field(default_factory=list)
+    energy: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
+    inside: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
+    volume: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
+    broken: list[Float[np.ndarray, 3]] = field(default_factory=list)
+    accepted: list[float] = field(default_factory=list)
+    distinct: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+
+def evaluate(
+    methods: Mapping[str, Method],
+    recordings: Sequence[TestRecording],
+    scene: Scene | None,
+    options: EvaluationOptions,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], dict[str, Float[np.ndarray, " K"]]]:
+    """Scores methods on recordings.
+
+    Args:
+        methods: by name.
+        recordings: windows of recordings that no method was trained on.
+        scene: obstacles; None for none.
+        options: see EvaluationOptions.
+        progress: called with (done, total) predictions.
+
+    Returns:
+        The `ground_truth_violations` and `methods` entries of metrics.json, and each method's NLL per repeat.
+    """
+    owner = np.concatenate([np.full(len(r.observations), k) for k, r in enumerate(recordings)])
+    observations = [observation for recording in recordings for observation in recording.observations]
+    future = np.concatenate([recording.future for recording in recordings])
+    moving = np.array([is_moving(o.positions, o.dt) for o in observations])
+    rows = np.unique(
+        np.linspace(0, len(observations) - 1, min(options.repeat_windows, len(observations))).astype(int)
+    )
+    total = len(methods) * (len(observations) + options.repeats * len(rows))
+    done = 0
+
+    truth_broken = np.array(
+        [
+            _violations(truth[None], o, scene, options.limits)
+            for truth, o in zip(future, observations, strict=True)
+        ]
+    )
+    results: dict[str, Any] = {}
+    histograms: dict[str, Float[np.ndarray, " K"]] = {}
+    for name, method in methods.items():
+        scores = _Scores()
+        rng = np.random.default_rng(options.seed)
+        # Compiling is not predicting: the first call is not timed.
+        method.forecast(observations[0], np.random.default_rng(0), options.samples, scene)
+        for observation, truth in zip(observations, future, strict=True):
+            started = time.perf_counter()
+            forecast = method.forecast(observation, rng, options.samples, scene)
+            scores.seconds.append(time.perf_counter() - started)
+            _score(scores, forecast, observation, truth, scene, options)
+            done += 1
+            if progress:
+                progress(done, total)
+        repeats = []
+        for repeat in range(options.repeats):
+            rng = np.random.default_rng([options.seed, repeat + 1])
+            nll = []
+            for row in rows:
+                forecast = method.forecast(observations[row], rng, options.samples, scene)
+                nll.append(-forecast.density.log_prob(future[row]) / NLL_JOINTS)
+                done += 1
+                if progress:
+                    progress(done, total)
+            repeats.append(np.nanmean(nll))
+        histograms[name] = np.array(repeats)
+        results[name] = _summary(scores, owner, [r.name for r in recordings], moving, options)
+    names = ("position", "speed", "scene")
+    broken = truth_broken.mean(axis=0) if len(truth_broken) else np.zeros(3)
+    return {
+        "ground_truth_violations": dict(zip(names, broken.tolist(), strict=True)),
+        "methods": results,
+    }, histograms
+
+
+def _score(
+    scores: _Scores,
+    forecast: Forecast,
+    observation: Observation,
+    truth: Float[np.ndarray, "T 6 3"],
+    scene: Scene | None,
+    options: EvaluationOptions,
+) -> None:
+    scores.error.append(joint_errors(forecast.mean, truth))
+    scores.nll.append(-forecast.density.log_prob(truth) / NLL_JOINTS)
+    scores.kde.append(kde_nll(forecast.samples, truth))
+    scores.crps.append(crps(forecast.samples, truth))
+    scores.energy.append(energy_score(forecast.samples, truth))
+    inside, volume = regions(forecast.samples, truth, LEVELS)
+    known = np.isfinite(truth).all(axis=-1)
+    scores.inside.append(np.where(known, inside, np.nan))
+    scores.volume.append(volume)
+    scores.broken.append(_violations(forecast.samples, observation, scene, options.limits))
+    scores.accepted.append(float(forecast.accepted[-1]))
+    scores.distinct.append(forecast.distinct)
+
+
+def _violations(
+    positions: Float[np.ndarray, "S T 6 3"],
+    observation: Observation,
+    scene: Scene | None,
+    limits: JointLimits,
+) -> Float[np.ndarray, 3]:
+    """Share of steps that break position limits, speed limits and the scene, from positions alone."""
+    initial = postures_from_points(observation.points, continuous=True)[-1]
+    postures = postures_from_points(observation.to_torso(positions), initial, continuous=True)
+    position, speed = violations(postures, initial, observation.dt, limits)
+    known = np.isfinite(positions).all(axis=(-1, -2))
+    hit = np.zeros_like(known)
+    if scene is not None:
+        hit = known & ~scene.free(positions, observation.times(positions.shape[1]))
+    count = max(np.count_nonzero(known), 1)
+    return np.array([np.count_nonzero(broken & known) / count for broken in (position, speed, hit)])
+
+
+def _summary(
+    scores: _Scores,
+    owner: Float[np.ndarray, " W"],
+    names: Sequence[str],
+    moving: Bool[np.ndarray, " W"],
+    options: EvaluationOptions,
+) -> dict[str, Any]:
+    error, nll, volume = np.array(scores.error), np.array(scores.nll), np.array(scores.volume)
+    crps_, inside = np.array(scores.crps), np.array(scores.inside)
+    per_window = np.nanmean(error, axis=(1, 2))
+    broken = np.mean(scores.broken, axis=0)
+    seconds = 1e3 * np.array(scores.seconds)
+
+    def three(select: Bool[np.ndarray, " W"]) -> dict[str, float | None]:
+        return {
+            "mpjpe_mm": _mean(1e3 * error[select]),
+            "crps_mm": _mean(1e3 * crps_[select]),
+            "nll": _mean(nll[select]),
+        }
+
+    def coverage(select: Bool[np.ndarray, " W"]) -> dict[str, float | None]:
+        return {str(level): _mean(inside[select, k]) for k, level in enumerate(LEVELS)}
+
+    everything = np.ones(len(owner), dtype=bool)
+    return {
+        **three(everything),
+        "mpjpe_mm_by_step": [_mean(1e3 * error[:, t]) for t in range(error.shape[1])],
+        "mpjpe_mm_stderr": 1e3 * block_bootstrap(per_window, owner, seed=options.seed).stderr,
+        "moving_mpjpe_mm": _mean(1e3 * error[moving]),
+        "wrist_final_mm": _mean(1e3 * error[:, -1, [2, 5]]),
+        "nll_stderr": block_bootstrap(np.nanmean(nll, axis=1), owner, seed=options.seed).stderr,
+        "kde_nll": _mean(np.array(scores.kde)),
+        "energy_score_mm": _mean(1e3 * np.array(scores.energy)),
+        "coverage": coverage(everything),
+        "coverage_by_step": {
+            str(level): [_mean(inside[:, k, t]) for t in range(inside.shape[2])]
+            for k, level in enumerate(LEVELS)
+        },
+        "region_litres": {str(level): _mean(1e3 * volume[:, k]) for k, level in enumerate(LEVELS)},
+        "violations": {"position": float(broken[0]), "speed": float(broken[1]), "scene": float(broken[2])},
+        "accepted_fraction": float(np.mean(scores.accepted)),
+        "effective_sample_size": float(np.mean(scores.distinct)),
+        "blocked_windows": int(np.count_nonzero(np.array(scores.distinct) == 0)),
+        "latency_ms": {"p50": float(np.percentile(seconds, 50)), "p99": float(np.percentile(seconds, 99))},
+        "moving": {"windows": int(moving.sum()), **three(moving)},
+        "recordings": {
+            name: {"windows": int((owner == k).sum()), **three(owner == k), "coverage": coverage(owner == k)}
+            for k, name in enumerate(names)
+        },
+    }
+
+
+def _mean(values: Float[np.ndarray, ...]) -> float | None:
+    """Mean of what was scored; None where nothing was."""
+    finite = values[~np.isnan(values)]
+    return float(finite.mean()) if finite.size else None

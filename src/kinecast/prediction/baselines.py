@@ -1,0 +1,230 @@
+"""Trivial and linear predictors: every mean is a linear map of the window, fitted where it has anything to fit.
+
+They predict D coordinates at once, positions or posture coordinates alike: a window (N, D) in, a mean (T, D) out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from kinecast.errors import ModelError
+
+__all__ = [
+    "LinearMap",
+    "MeanModel",
+    "WindowFilter",
+    "constant_velocity",
+    "damped_velocity",
+    "fit_ridge",
+    "kalman",
+    "zero_velocity",
+]
+
+Windows = Float[np.ndarray, "W N D"]
+Futures = Float[np.ndarray, "W T D"]
+
+TIME_CONSTANTS = np.array([0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.5, 5.0, 20.0])
+"""Time constants tried for the damped velocity [s]."""
+
+RIDGES = 10.0 ** np.arange(-4.0, 5.0)
+"""Ridge penalties tried, relative to standardised features."""
+
+
+class MeanModel(Protocol):
+    """The expected next T values of D coordinates from their last N."""
+
+    def mean(self, windows: Windows) -> Futures:
+        """(W, N, D) windows in, (W, T, D) means out."""
+        ...
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """The arrays that describe it."""
+        ...
+
+
+@dataclass(frozen=True)
+class WindowFilter:
+    """The same weights over the window for every coordinate: mean[t] = Σ_n weights[t, n] · window[n].
+
+    Each row of weights sums to one, so the prediction moves along with the person.
+    """
+
+    weights: Float[np.ndarray, "T N"]
+
+    def mean(self, windows: Windows) -> Futures:
+        return np.einsum("tn,wnd->wtd", self.weights, windows)
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        return {"weights": self.weights}
+
+
+@dataclass(frozen=True)
+class LinearMap:
+    """mean = last + ((features − centre) / scale) · matrix, features = (window relative to its last frame, last frame)."""
+
+    centre: Float[np.ndarray, " F"]
+    scale: Float[np.ndarray, " F"]
+    matrix: Float[np.ndarray, "F1 TD"]
+
+    @staticmethod
+    def features(windows: Windows) -> Float[np.ndarray, "W F"]:
+        """(W, F) the window's earlier frames relative to its last one, then the last one."""
+        last = windows[:, -1:]
+        return np.concatenate([(windows[:, :-1] - last).reshape(len(windows), -1), last[:, 0]], axis=1)
+
+    def mean(self, windows: Windows) -> Futures:
+        standard = (self.features(windows) - self.centre) / self.scale
+        displacement = standard @ self.matrix[:-1] + self.matrix[-1]
+        return windows[:, -1:] + displacement.reshape(len(windows), -1, windows.shape[2])
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        return {"centre": self.centre, "scale": self.scale, "matrix": self.matrix}
+
+
+def mean_from_arrays(arrays: Mapping[str, np.ndarray]) -> MeanModel:
+    """The mean model that `to_arrays` described.
+
+    Raises:
+        ModelError: arrays of no known mean model.
+    """
+    if "weights" in arrays:
+        return WindowFilter(np.asarray(arrays["weights"], float))
+    if {"centre", "scale", "matrix"} <= set(arrays):
+        return LinearMap(*(np.asarray(arrays[name], float) for name in ("centre", "scale", "matrix")))
+    raise ModelError(f"mean model with arrays {sorted(arrays)}; expected weights, or centre, scale and matrix")
+
+
+def zero_velocity(frames: int, steps: int) -> WindowFilter:
+    """Nothing moves."""
+    weights = np.zeros((steps, frames))
+    weights[:, -1] = 1.0
+    return WindowFilter(weights)
+
+
+def _moving_on(velocity: Float[np.ndarray, " N"], reach: Float[np.ndarray, " T"]) -> WindowFilter:
+    """Last value + velocity [per frame] · reach [frames]."""
+    weights = np.outer(reach, velocity)
+    weights[:, -1] += 1.0
+    return WindowFilter(weights)
+
+
+def _two_frame_velocity(frames: int) -> Float[np.ndarray, " N"]:
+    velocity = np.zeros(frames)
+    velocity[-1], velocity[-2] = 1.0, -1.0
+    return velocity
+
+
+def _fitted_velocity(frames: int, degree: int) -> Float[np.ndarray, " N"]:
+    """Weights of the slope at the last frame of a least-squares polynomial over the window."""
+    time = np.arange(frames) - (frames - 1.0)
+    return np.linalg.pinv(np.vander(time, degree + 1, increasing=True))[1]
+
+
+def constant_velocity(frames: int, steps: int) -> WindowFilter:
+    """The velocity between the last two frames goes on."""
+    return _moving_on(_two_frame_velocity(frames), np.arange(1.0, steps + 1))
+
+
+def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilter:
+    """x + v·τ(1 − exp(−t/τ)): velocity estimator and time constant τ both fitted on training data.
+
+    Estimators tried: the last two frames, the slope of a line and of a parabola over the window. The pair
+    with the least mean point error is taken, so the baseline is as strong as it can be.
+    """
+    frames, steps = windows.shape[1], futures.shape[1]
+    estimators = [_two_frame_velocity(frames), _fitted_velocity(frames, 1), _fitted_velocity(frames, 2)]
+    best: tuple[float, WindowFilter] | None = None
+    for velocity in estimators:
+        for tau in TIME_CONSTANTS / dt:
+            model = _moving_on(velocity, tau * -np.expm1(-np.arange(1, steps + 1) / tau))
+            error = _mean_point_error(model.mean(windows), futures)
+            if best is None or error < best[0]:
+                best = error, model
+    assert best is not None
+    return best[1]
+
+
+def kalman(windows: Windows, futures: Futures) -> WindowFilter:
+    """Constant-velocity Kalman filter run over the window; its noise ratio fitted on training data.
+
+    State (value, velocity), white acceleration of spectral density q, measurement noise r. Only q/r shapes
+    the mean; it is the one with the least squared one-step innovation error on the windows.
+    """
+    frames, steps = windows.shape[1], futures.shape[1]
+    best: tuple[float, WindowFilter] | None = None
+    for ratio in 10.0 ** np.arange(-4.0, 4.25, 0.25):
+        model = WindowFilter(_kalman_weights(frames, steps, ratio))
+        error = float(np.mean((model.mean(windows)[:, 0] - futures[:, 0]) ** 2))
+        if best is None or error < best[0]:
+            best = error, model
+    assert best is not None
+    return best[1]
+
+
+def _kalman_weights(frames: int, steps: int, ratio: float) -> Float[np.ndarray, "T N"]:
+    """(T, N) response of the filter's prediction to each measurement, unit time step, r = 1, q = ratio."""
+    transition = np.array([[1.0, 1.0], [0.0, 1.0]])
+    process = ratio * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
+    # The first two frames fix the state exactly; its covariance follows from r = 1 on each of them.
+    state = np.zeros((2, frames))
+    state[0, 1], state[1, 0], state[1, 1] = 1.0, -1.0, 1.0
+    covariance = np.array([[1.0, 1.0], [1.0, 2.0 + ratio / 3]])
+    for k in range(2, frames):
+        state = transition @ state
+        covariance = transition @ covariance @ transition.T + process
+        gain = covariance[:, 0] / (covariance[0, 0] + 1.0)
+        innovation = -state[0]
+        innovation[k] += 1.0
+        state = state + np.outer(gain, innovation)
+        covariance = covariance - np.outer(gain, covariance[0])
+    return state[0] + np.arange(1, steps + 1)[:, None] * state[1]
+
+
+def fit_ridge(windows: Windows, futures: Futures, folds: Int[np.ndarray, " W"]) -> LinearMap:
+    """Ridge regression from the window to the displacement at every step; the penalty is cross-validated.
+
+    Args:
+        windows: (W, N, D) observed.
+        futures: (W, T, D) what followed.
+        folds: (W,) fold of each window; the penalty with the least mean point error on left-out folds is taken.
+    """
+    features = LinearMap.features(windows)
+    targets = (futures - windows[:, -1:]).reshape(len(windows), -1)
+    names = np.unique(folds)
+    if len(names) > 1:
+        errors = np.zeros(len(RIDGES))
+        for name in names:
+            inside, outside = folds != name, folds == name
+            for k, model in enumerate(_ridges(features[inside], targets[inside], RIDGES)):
+                errors[k] += _mean_point_error(model.mean(windows[outside]), futures[outside]) * outside.sum()
+        penalty = RIDGES[int(np.argmin(errors))]
+    else:
+        penalty = 1.0
+    return _ridges(features, targets, np.array([penalty]))[0]
+
+
+def _ridges(
+    features: Float[np.ndarray, "W F"], targets: Float[np.ndarray, "W TD"], penalties: Float[np.ndarray, " K"]
+) -> list[LinearMap]:
+    """One model per penalty from a single eigendecomposition of the features' covariance."""
+    centre, scale = features.mean(axis=0), features.std(axis=0)
+    scale = np.where(scale > 1e-9, scale, 1.0)
+    standard = (features - centre) / scale
+    offset = targets.mean(axis=0)
+    values, vectors = np.linalg.eigh(standard.T @ standard)
+    rotated = vectors.T @ (standard.T @ (targets - offset))
+    return [
+        LinearMap(centre, scale, np.vstack([vectors @ (rotated / (np.maximum(values, 0.0) + p)[:, None]), offset]))
+        for p in penalties
+    ]
+
+
+def _mean_point_error(mean: Futures, futures: Futures) -> float:
+    """Mean distance between predicted and true points, coordinates taken three at a time."""
+    error = (mean - futures).reshape(*mean.shape[:2], -1, 3)
+    return float(np.linalg.norm(error, axis=-1).mean())

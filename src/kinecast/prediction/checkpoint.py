@@ -1,0 +1,157 @@
+"""A trained model as a file: plain arrays and a JSON card in one npz. Nothing in it is ever executed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinecast.body.limits import AngleLimit, JointLimits
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.errors import ModelError, OptionError
+
+__all__ = ["ModelCard", "read_checkpoint", "write_checkpoint"]
+
+FORMAT = "kinecast-model"
+VERSION = 1
+LARGEST = 256 * 2**20
+"""Most bytes a model may hold once unpacked."""
+MOST_ARRAYS = 4096
+CARD = "card"
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """What a model is and what it was trained on; written into its file.
+
+    Attributes:
+        method: name of the method, e.g. `"gp_constrained"`.
+        frames: N, observed frames.
+        steps: T, predicted steps.
+        rate: frames per second [Hz].
+        joints: the joints it predicts.
+        limits: joint limits it was trained with.
+        noise: spread of a measured joint in the training data [m].
+        trained_on: names of the recordings.
+        windows: number of training windows.
+        label: the action it was trained on; "" for all.
+        seed: seed of the training.
+        notes: licence of the data, how to cite it, anything else a user must know.
+    """
+
+    method: str
+    frames: int
+    steps: int
+    rate: float
+    joints: tuple[str, ...] = ARM_JOINTS
+    limits: JointLimits = field(default_factory=JointLimits)
+    noise: float = 0.005
+    trained_on: tuple[str, ...] = ()
+    windows: int = 0
+    label: str = ""
+    seed: int = 0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dt(self) -> float:
+        """Time between frames [s]."""
+        return 1.0 / self.rate
+
+    def to_json(self) -> str:
+        """The card as JSON text."""
+        return json.dumps({"format": FORMAT, "version": VERSION, **dataclasses.asdict(self)}, indent=1)
+
+    @staticmethod
+    def from_json(text: str, where: object) -> ModelCard:
+        """The card of `to_json`.
+
+        Raises:
+            ModelError: not a card of this version, or a value outside its range.
+        """
+        try:
+            data: dict[str, Any] = json.loads(text)
+        except ValueError as error:
+            raise ModelError(f"{where}: the model's card is not JSON ({error})") from None
+        if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
+            raise ModelError(f"{where}: not a kinecast model")
+        version = data.pop("version", None)
+        if version != VERSION:
+            raise ModelError(f"{where}: model version {version}; this kinecast reads version {VERSION}")
+        names = {f.name for f in dataclasses.fields(ModelCard)}
+        if not {"method", "frames", "steps", "rate"} <= set(data) <= names:
+            raise ModelError(f"{where}: card with entries {sorted(data)}; expected {sorted(names)}")
+        try:
+            for name in ("joints", "trained_on", "notes"):
+                data[name] = tuple(str(item) for item in data.get(name, ()))
+            data["limits"] = _limits_from(data.get("limits", {}))
+            card = ModelCard(**data)
+        except (TypeError, ValueError, OptionError) as error:
+            raise ModelError(f"{where}: {error}") from None
+        if card.joints != ARM_JOINTS:
+            raise ModelError(f"{where}: a model of the joints {card.joints}; this kinecast predicts {ARM_JOINTS}")
+        whole = isinstance(card.frames, int) and isinstance(card.steps, int)
+        if not (whole and 2 <= card.frames <= 1000 and 1 <= card.steps <= 1000 and 0 < card.rate <= 1000):
+            raise ModelError(
+                f"{where}: frames {card.frames}, steps {card.steps}, rate {card.rate}; "
+                "allowed are 2..1000, 1..1000 and (0, 1000] Hz"
+            )
+        return card
+
+
+def _limits_from(data: dict[str, Any]) -> JointLimits:
+    angles = {name: AngleLimit(**value) for name, value in data.items() if isinstance(value, dict)}
+    return JointLimits(**angles, wrist_speed=data.get("wrist_speed"))
+
+
+def write_checkpoint(path: Path, card: ModelCard, arrays: dict[str, np.ndarray]) -> None:
+    """Writes a model whole or not at all: under another name first, then moved into place.
+
+    Raises:
+        ModelError: the folder does not exist or cannot be written.
+    """
+    stored = {CARD: np.frombuffer(card.to_json().encode(), np.uint8), **arrays}
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as error:
+        raise ModelError(f"{path}: cannot write ({error.strerror})") from None
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **stored)  # type: ignore[arg-type]
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def read_checkpoint(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
+    """The card and arrays of a model file.
+
+    Raises:
+        ModelError: unreadable, not a kinecast model, too large, or with arrays that are not plain finite numbers.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            size = sum(member.file_size for member in members)
+        if size > LARGEST or len(members) > MOST_ARRAYS:
+            raise ModelError(f"{path}: {size} bytes in {len(members)} arrays; allowed are {LARGEST} in {MOST_ARRAYS}")
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name]) for name in file.files}
+    except ModelError:
+        raise
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise ModelError(f"{path}: not a readable model file ({error})") from None
+    if CARD not in arrays or arrays[CARD].dtype != np.uint8:
+        raise ModelError(f"{path}: not a kinecast model (it has no card)")
+    card = ModelCard.from_json(arrays.pop(CARD).tobytes().decode(errors="replace"), path)
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiub" or not np.isfinite(array).all():
+            raise ModelError(f"{path}: array {name} holds something other than finite numbers")
+    return card, arrays

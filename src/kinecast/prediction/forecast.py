@@ -1,0 +1,107 @@
+"""What a trained method gives for one window, and what it must offer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.observation import Observation
+from kinecast.types import Density
+
+__all__ = ["Forecast", "Method", "WorldDensity", "within_scene"]
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A distribution over the motion of both arms, in the world.
+
+    Attributes:
+        samples: (S, T, 6, 3) equally likely motions [m].
+        mean: (T, 6, 3) expected positions [m].
+        density: the exact density at each step.
+        accepted: (T,) share of drawn motions still inside the scene's free space at each step; 1 without one.
+        distinct: number of distinct motions among the samples.
+    """
+
+    samples: Float[np.ndarray, "S T 6 3"]
+    mean: Float[np.ndarray, "T 6 3"]
+    density: Density
+    accepted: Float[np.ndarray, " T"]
+    distinct: int
+
+    @property
+    def blocked(self) -> bool:
+        """True where the scene left no motion at all; the samples then disregard it."""
+        return self.distinct == 0
+
+
+class Method(Protocol):
+    """A trained predictor of both arms.
+
+    Attributes:
+        frames: N, length of the observation window.
+        steps: T, number of predicted steps.
+        dt: time between frames [s].
+    """
+
+    frames: int
+    steps: int
+    dt: float
+
+    def forecast(
+        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
+    ) -> Forecast:
+        """The distribution over the next T steps.
+
+        Args:
+            observation: the window, N frames.
+            rng: source of randomness; equal states give equal forecasts.
+            samples: S, number of motions to draw.
+            scene: obstacles; methods without scene constraints disregard it.
+        """
+        ...
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Everything the method needs, as plain arrays."""
+        ...
+
+
+@dataclass(frozen=True)
+class WorldDensity:
+    """A density stated in the torso frame, asked in the world; a rigid motion leaves its value as it is."""
+
+    observation: Observation
+    density: Density
+
+    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+        """(T,) log density [nats per m^18]; NaN where a joint is NaN."""
+        return self.density.log_prob(self.observation.to_torso(positions))
+
+
+def within_scene(forecast: Forecast, observation: Observation, rng: np.random.Generator, scene: Scene) -> Forecast:
+    """Eq. 7: motions that enter an obstacle are rejected; those left are drawn up to the same number again.
+
+    A motion leaves the set at the step where a joint or limb enters an obstacle and does not come back.
+    """
+    free = scene.free(forecast.samples, observation.times(forecast.samples.shape[1]))
+    alive = np.logical_and.accumulate(free, axis=1)
+    survivors = np.flatnonzero(alive[:, -1])
+    if len(survivors) == 0:
+        return replace(forecast, accepted=alive.mean(axis=0), distinct=0)
+    rows = survivors
+    if len(rows) < len(free):
+        # Systematic resampling: every survivor is kept equally often, to within one.
+        offsets = (np.arange(len(free)) + rng.random()) * len(survivors) / len(free)
+        rows = survivors[offsets.astype(int)]
+    samples = forecast.samples[rows]
+    return replace(
+        forecast,
+        samples=samples,
+        mean=samples.mean(axis=0),
+        accepted=alive.mean(axis=0),
+        distinct=len(survivors),
+    )

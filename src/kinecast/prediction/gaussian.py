@@ -1,0 +1,238 @@
+"""Methods whose forecast is one Gaussian over all steps and coordinates: a mean model and its residual covariance.
+
+`PositionGaussian` states it over the joints' positions, `PostureGaussian` over the smooth posture coordinates, where
+the constraint stage can act. Any mean model (kinecast.prediction.baselines) fits into either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from kinecast.body.limits import JointLimits
+from kinecast.body.posture import (
+    coordinates_from_postures,
+    points_from_postures,
+    postures_from_coordinates,
+    postures_from_points,
+)
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.allowance import Allowance
+from kinecast.prediction.baselines import MeanModel, mean_from_arrays
+from kinecast.prediction.density import JOINT_ORDER, CoordinateGaussianDensity, PositionGaussianDensity
+from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
+from kinecast.prediction.noise import coordinate_noise
+from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.rollout import roll_gaussian
+
+__all__ = ["PositionGaussian", "PostureGaussian", "posture_coordinates", "residual_covariance"]
+
+Fit = Callable[[Float[np.ndarray, "W N D"], Float[np.ndarray, "W T D"], Int[np.ndarray, " W"]], MeanModel]
+"""Fits a mean model to windows, futures and folds."""
+
+FLOOR = 1e-3
+"""Least spread of a residual [m or rad]: a millimetre."""
+FOLDS = 4
+POSITION_ORDER = np.arange(18).reshape(6, 3)[JOINT_ORDER].ravel()
+"""The 18 coordinates of the joints in block order."""
+
+
+def residual_covariance(
+    fit: Fit, windows: Float[np.ndarray, "W N D"], futures: Float[np.ndarray, "W T D"], folds: Int[np.ndarray, " W"]
+) -> Float[np.ndarray, "TD TD"]:
+    """Second moment of the errors on left-out folds, over all steps and coordinates at once."""
+    errors = []
+    for fold in np.unique(folds):
+        outside = folds == fold
+        inside = ~outside if (~outside).any() else outside
+        model = fit(windows[inside], futures[inside], folds[inside])
+        errors.append((futures[outside] - model.mean(windows[outside])).reshape(outside.sum(), -1))
+    stacked = np.concatenate(errors)
+    return stacked.T @ stacked / len(stacked) + FLOOR**2 * np.eye(stacked.shape[1])
+
+
+def with_noise(
+    cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"]
+) -> Float[np.ndarray, "K K"]:
+    """Factor of the covariance once the last frame's error, the same at every step, is added.
+
+    Args:
+        cholesky: (T·D, T·D) lower factor, steps outermost.
+        noise: (D,) spread of that error.
+    """
+    if not noise.any():
+        return cholesky
+    steps = len(cholesky) // len(noise)
+    shared = np.kron(np.ones((steps, steps)), np.diag(noise**2))
+    return np.linalg.cholesky(cholesky @ cholesky.T + shared)
+
+
+def posture_bounds(
+    limits: JointLimits | None,
+) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"], Float[np.ndarray, "18"], float]:
+    """Lower, upper [rad], speed [rad/s] of a posture and the wrist's speed [m/s]; infinite without limits."""
+    if limits is None:
+        return np.full(18, -np.inf), np.full(18, np.inf), np.full(18, np.inf), np.inf
+    return *limits.of_posture(), np.inf if limits.wrist_speed is None else limits.wrist_speed
+
+
+def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, "18"]) -> Float[np.ndarray, "T 18 18"]:
+    """Cholesky factor of each step's marginal covariance, coordinates reordered."""
+    rows = cholesky.reshape(-1, 18, cholesky.shape[1])[:, order]
+    return np.linalg.cholesky(rows @ rows.transpose(0, 2, 1))
+
+
+@dataclass(frozen=True)
+class PositionGaussian:
+    """A Gaussian over the joints' positions in the torso frame; knows nothing of joints' limits or the scene."""
+
+    frames: int
+    steps: int
+    dt: float
+    mean_model: MeanModel
+    cholesky: Float[np.ndarray, "K K"]
+
+    @staticmethod
+    def fit(fit: Fit, windows: TrainingWindows) -> PositionGaussian:
+        """Mean model and residual covariance from training windows."""
+        observed = windows.points.reshape(*windows.points.shape[:2], 18)
+        future = windows.future_points.reshape(*windows.future_points.shape[:2], 18)
+        folds = windows.folds(FOLDS)
+        covariance = residual_covariance(fit, observed, future, folds)
+        return PositionGaussian(
+            observed.shape[1],
+            future.shape[1],
+            windows.dt,
+            fit(observed, future, folds),
+            np.linalg.cholesky(covariance),
+        )
+
+    @cached_property
+    def _step_cholesky(self) -> Float[np.ndarray, "T 18 18"]:
+        return _step_factors(self.cholesky, POSITION_ORDER)
+
+    def forecast(
+        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
+    ) -> Forecast:
+        """See kinecast.prediction.forecast.Method; the scene is disregarded."""
+        del scene
+        window = observation.points.reshape(1, self.frames, 18)
+        mean = self.mean_model.mean(window)[0].reshape(self.steps, 6, 3)
+        cholesky, step_cholesky = self.cholesky, self._step_cholesky
+        if observation.noise.any():
+            cholesky = with_noise(cholesky, np.repeat(observation.noise, 3))
+            step_cholesky = _step_factors(cholesky, POSITION_ORDER)
+        errors = rng.standard_normal((samples, len(cholesky))) @ cholesky.T
+        points = mean + errors.reshape(samples, self.steps, 6, 3)
+        density = PositionGaussianDensity(mean, step_cholesky)
+        return Forecast(
+            observation.to_world(points),
+            observation.to_world(mean),
+            WorldDensity(observation, density),
+            np.ones(self.steps),
+            samples,
+        )
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Plain arrays for a checkpoint."""
+        return {**self.mean_model.to_arrays(), "cholesky": self.cholesky}
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float) -> PositionGaussian:
+        """The method that `to_arrays` described."""
+        return PositionGaussian(frames, steps, dt, mean_from_arrays(arrays), np.asarray(arrays["cholesky"], float))
+
+
+def posture_coordinates(
+    observed: Float[np.ndarray, "W N 6 3"], future: Float[np.ndarray, "W T 6 3"]
+) -> tuple[Float[np.ndarray, "W N 18"], Float[np.ndarray, "W T 18"]]:
+    """Smooth posture coordinates of windows and futures, continuous from one frame to the next."""
+    both = np.concatenate([observed, future], axis=1)
+    coordinates = np.stack([coordinates_from_postures(postures_from_points(track, continuous=True)) for track in both])
+    return coordinates[:, : observed.shape[1]], coordinates[:, observed.shape[1] :]
+
+
+@dataclass(frozen=True)
+class PostureGaussian:
+    """A Gaussian over the smooth posture coordinates, free or held inside joint limits and scene.
+
+    Attributes:
+        limits: range and speed of the arm's angles; None leaves the Gaussian as it is and disregards the scene.
+        noise: spread of a measured joint about the true one [m], for the density of measurements.
+    """
+
+    frames: int
+    steps: int
+    dt: float
+    mean_model: MeanModel
+    cholesky: Float[np.ndarray, "K K"]
+    noise: float
+    limits: JointLimits | None = None
+
+    @staticmethod
+    def fit(fit: Fit, windows: TrainingWindows, noise: float, limits: JointLimits | None) -> PostureGaussian:
+        """Mean model and residual covariance from training windows."""
+        observed, future = posture_coordinates(windows.points, windows.future_points)
+        folds = windows.folds(FOLDS)
+        covariance = residual_covariance(fit, observed, future, folds)
+        model = fit(observed, future, folds)
+        return PostureGaussian(
+            observed.shape[1], future.shape[1], windows.dt, model, np.linalg.cholesky(covariance), noise, limits
+        )
+
+    @cached_property
+    def _step_cholesky(self) -> Float[np.ndarray, "T 18 18"]:
+        return _step_factors(self.cholesky, np.arange(18))
+
+    def forecast(
+        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
+    ) -> Forecast:
+        """See kinecast.prediction.forecast.Method."""
+        track = postures_from_points(observation.points, continuous=True)
+        mean = self.mean_model.mean(coordinates_from_postures(track)[None])[0]
+        cholesky, step_cholesky = self.cholesky, self._step_cholesky
+        if observation.noise.any():
+            cholesky = with_noise(cholesky, coordinate_noise(track[-1], observation.noise))
+            step_cholesky = _step_factors(cholesky, np.arange(18))
+        normals = rng.standard_normal((samples, len(cholesky)))
+        uniforms = rng.random((samples, self.steps, 8))
+        postures = roll_gaussian(
+            mean, cholesky, track[-1], normals, uniforms, *posture_bounds(self.limits), self.dt
+        )
+        points = points_from_postures(postures)
+        centre = points_from_postures(postures_from_coordinates(mean))
+        allowance = None
+        if self.limits is not None:
+
+            def draws() -> Float[np.ndarray, "S T 6 3"]:
+                free = mean + (normals @ cholesky.T).reshape(samples, self.steps, 18)
+                return points_from_postures(postures_from_coordinates(free))
+
+            allowance = Allowance(draws, observation, track[-1], self.limits, scene, self.noise)
+        density = CoordinateGaussianDensity(mean, step_cholesky, centre, allowance)
+        forecast = Forecast(
+            observation.to_world(points),
+            observation.to_world(points.mean(axis=0)),
+            WorldDensity(observation, density),
+            np.ones(self.steps),
+            samples,
+        )
+        if self.limits is not None and scene is not None:
+            return within_scene(forecast, observation, rng, scene)
+        return forecast
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Plain arrays for a checkpoint."""
+        return {**self.mean_model.to_arrays(), "cholesky": self.cholesky}
+
+    @staticmethod
+    def from_arrays(
+        arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float, noise: float, limits: JointLimits | None
+    ) -> PostureGaussian:
+        """The method that `to_arrays` described."""
+        cholesky = np.asarray(arrays["cholesky"], float)
+        return PostureGaussian(frames, steps, dt, mean_from_arrays(arrays), cholesky, noise, limits)

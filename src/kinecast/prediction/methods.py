@@ -1,0 +1,149 @@
+"""All methods by name: trained from windows, written to and read from one file each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from kinecast.body.limits import JointLimits
+from kinecast.errors import ModelError, OptionError
+from kinecast.prediction.baselines import constant_velocity, damped_velocity, fit_ridge, kalman, zero_velocity
+from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
+from kinecast.prediction.forecast import Method
+from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian
+from kinecast.prediction.noise import sensor_noise
+from kinecast.prediction.observation import TrainingWindows
+from kinecast.prediction.paper import PositionSeries, PostureSeries
+
+__all__ = ["METHODS", "TrainingOptions", "read_method", "save_method", "train"]
+
+METHODS: Mapping[str, str] = {
+    "zero_velocity": "nothing moves",
+    "constant_velocity": "the last velocity goes on",
+    "damped_velocity": "the velocity fades out; estimator and time constant fitted",
+    "kalman": "constant-velocity Kalman filter, noise fitted",
+    "ridge": "ridge regression from the window to every step",
+    "kalman_angles": "the Kalman filter on posture coordinates",
+    "kalman_constrained": "the same, inside joint limits and scene",
+    "ridge_angles": "ridge regression on posture coordinates",
+    "ridge_constrained": "the same, inside joint limits and scene",
+    "gp_xyz": "the paper's: one sparse GP per position coordinate",
+    "gp_angles": "the paper's: one sparse GP per joint angle",
+    "gp_constrained": "the paper's: the same, inside joint limits and scene",
+}
+"""Every method and what it does."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """How methods are trained.
+
+    Attributes:
+        limits: range and speed of the arm's angles.
+        seed: of everything random.
+        pseudo_inputs: M of each sparse GP.
+        points: most windows a sparse GP is trained on.
+        iterations: of the GP's marginal likelihood maximisation.
+    """
+
+    limits: JointLimits = field(default_factory=JointLimits)
+    seed: int = 0
+    pseudo_inputs: int = 32
+    points: int = 2000
+    iterations: int = 100
+
+
+def train(
+    names: Sequence[str], windows: TrainingWindows, options: TrainingOptions, progress: Progress | None = None
+) -> dict[str, Method]:
+    """Trains methods; what two of them share is trained once.
+
+    Args:
+        names: of methods, keys of METHODS.
+        windows: training data.
+        options: see TrainingOptions.
+        progress: called with (done, total) series of the Gaussian processes.
+
+    Raises:
+        OptionError: an unknown name.
+        ModelError: too few windows.
+    """
+    check_names(names)
+    if len(windows) < 50:
+        raise ModelError(f"{len(windows)} training windows; at least 50 are needed")
+    noise = sensor_noise(windows)
+    trained: dict[str, Method] = {}
+    angles: PostureSeries | None = None
+    for name in names:
+        if name == "gp_xyz":
+            trained[name] = PositionSeries.fit(windows, options, progress)
+        elif name in ("gp_angles", "gp_constrained"):
+            angles = angles or PostureSeries.fit(windows, options, noise, progress)
+            trained[name] = angles.with_limits(options.limits if name == "gp_constrained" else None)
+        else:
+            base, _, space = name.partition("_") if name.endswith(("_angles", "_constrained")) else (name, "", "")
+            fit = _fit(base, windows)
+            if space:
+                limits = options.limits if space == "constrained" else None
+                trained[name] = PostureGaussian.fit(fit, windows, noise, limits)
+            else:
+                trained[name] = PositionGaussian.fit(fit, windows)
+    return trained
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raises OptionError for names that are no methods, listing those that are."""
+    unknown = [name for name in names if name not in METHODS]
+    if unknown or not names:
+        raise OptionError(f"unknown method {', '.join(unknown) or '(none)'}; methods are {', '.join(METHODS)}")
+
+
+def _fit(base: str, windows: TrainingWindows) -> Fit:
+    """How the mean model of a baseline is fitted."""
+    frames, steps = windows.observed.shape[1], windows.future.shape[1]
+    fits: dict[str, Fit] = {
+        "zero_velocity": lambda _w, _f, _folds: zero_velocity(frames, steps),
+        "constant_velocity": lambda _w, _f, _folds: constant_velocity(frames, steps),
+        "damped_velocity": lambda w, f, _folds: damped_velocity(w, f, windows.dt),
+        "kalman": lambda w, f, _folds: kalman(w, f),
+        "ridge": fit_ridge,
+    }
+    return fits[base]
+
+
+def save_method(path: Path, card: ModelCard, method: Method) -> None:
+    """Writes one trained method to a file, whole or not at all."""
+    write_checkpoint(path, card, method.to_arrays())
+
+
+def read_method(path: Path) -> tuple[ModelCard, Method]:
+    """The card and the method of a model file.
+
+    Raises:
+        ModelError: not a model of this kinecast.
+    """
+    card, arrays = read_checkpoint(path)
+    if card.method not in METHODS:
+        raise ModelError(f"{path}: method {card.method!r}; this kinecast knows {', '.join(METHODS)}")
+    try:
+        return card, _method_from(card, arrays)
+    except (KeyError, ValueError, IndexError) as error:
+        raise ModelError(f"{path}: arrays do not fit the method {card.method} ({error})") from None
+
+
+def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method:
+    shape = (card.frames, card.steps, card.dt)
+    limits = card.limits if card.method.endswith("_constrained") else None
+    if card.method == "gp_xyz":
+        return PositionSeries.from_arrays(arrays, *shape)
+    if card.method in ("gp_angles", "gp_constrained"):
+        return PostureSeries.from_arrays(arrays, *shape, card.noise, limits)
+    if card.method.endswith(("_angles", "_constrained")):
+        return PostureGaussian.from_arrays(arrays, *shape, card.noise, limits)
+    return PositionGaussian.from_arrays(arrays, *shape)

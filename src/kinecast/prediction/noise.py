@@ -1,0 +1,67 @@
+"""Measurement noise: how large it is in a recording, and what it does to posture coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.prediction.observation import TrainingWindows
+
+__all__ = ["angle_noise", "coordinate_noise", "sensor_noise"]
+
+LEAST_SINE = 0.02
+"""Near a degenerate pose an angle's noise stops growing here."""
+
+
+def sensor_noise(windows: TrainingWindows) -> float:
+    """Spread of a measured joint about the true one [m], from what changes too fast to be motion.
+
+    The third difference of a smooth motion at 30 Hz is small; white noise of spread σ gives one of spread
+    σ √20. The median over windows of a robust (median absolute deviation) spread is taken.
+    """
+    tracks = np.concatenate([windows.observed, windows.future], axis=1)
+    third = np.abs(np.diff(tracks, n=3, axis=1)).reshape(len(tracks), -1)
+    # 1.4826: from median absolute deviation to standard deviation of a normal.
+    return float(max(1.4826 * np.median(np.median(third, axis=1)) / np.sqrt(20.0), 1e-4))
+
+
+def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "*b 4"]:
+    """Spread of θ1..θ4 that independent noise of the joints brings, to first order [rad].
+
+    Args:
+        arm: (…, 6) angles and lengths of one arm (kinecast.body.posture).
+        noise: (3,) spread of shoulder, elbow and wrist along each axis [m].
+    """
+    upper = np.hypot(noise[0], noise[1]) / arm[..., 4]
+    fore = np.hypot(noise[1], noise[2]) / arm[..., 5]
+    return np.stack(
+        [
+            upper / np.maximum(np.abs(np.cos(arm[..., 1])), LEAST_SINE),
+            upper,
+            fore / np.maximum(np.abs(np.sin(arm[..., 3])), LEAST_SINE),
+            np.hypot(upper, fore),
+        ],
+        axis=-1,
+    )
+
+
+def coordinate_noise(posture: Float[np.ndarray, "18"], noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "18"]:
+    """(18,) spread of the smooth posture coordinates that noise on the joints brings, to first order.
+
+    Args:
+        posture: (18,) where.
+        noise: (6,) spread of each joint along each axis [m].
+    """
+    shoulders = np.hypot(noise[0], noise[3])
+    spread = np.empty(18)
+    spread[:3] = 0.5 * shoulders
+    spread[3:5] = shoulders / posture[5]
+    spread[5] = shoulders
+    for joint, start in ((0, 6), (3, 12)):
+        arm, local = posture[start : start + 6], noise[joint : joint + 3]
+        spread[start : start + 2] = angle_noise(arm, local)[:2]
+        # The pair (θ4 cos θ3, θ4 sin θ3) is as uncertain as the elbow's angle, in every direction.
+        spread[start + 2 : start + 4] = angle_noise(arm, local)[3]
+        spread[start + 4] = np.hypot(local[0], local[1])
+        spread[start + 5] = np.hypot(local[1], local[2])
+    return spread

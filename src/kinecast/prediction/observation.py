@@ -1,0 +1,136 @@
+"""What a predictor sees: one window of arm positions, and the torso frame in which everything is predicted.
+
+The torso frame of the last observed frame is the reference: origin midway between the shoulders, y from
+right to left shoulder, z up the torso. A prediction made in it does not depend on where the person stands
+or faces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from kinecast.body.skeleton import ARM_JOINTS
+
+__all__ = ["Observation", "TrainingWindows", "reference_frame"]
+
+LEFT_SHOULDER, RIGHT_SHOULDER = ARM_JOINTS.index("left_shoulder"), ARM_JOINTS.index("right_shoulder")
+
+
+def reference_frame(
+    points: Float[np.ndarray, "*b 6 3"], up: Float[np.ndarray, "*b 3"]
+) -> tuple[Float[np.ndarray, "*b 3 3"], Float[np.ndarray, "*b 3"]]:
+    """Rotation (columns x, y, z) and origin of the torso frame.
+
+    Args:
+        points: (…, 6, 3) arm joints [m].
+        up: (…, 3) direction up the torso, of any length, not along the shoulder line.
+
+    Returns:
+        (…, 3, 3) rotation R_world_torso and (…, 3) origin [m].
+    """
+    left, right = points[..., LEFT_SHOULDER, :], points[..., RIGHT_SHOULDER, :]
+    y = left - right
+    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    z = up - (up * y).sum(axis=-1, keepdims=True) * y
+    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
+    return np.stack([np.cross(y, z), y, z], axis=-1), 0.5 * (left + right)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One repaired window on a uniform grid, ending at the newest frame.
+
+    Attributes:
+        positions: (N, 6, 3) arm joints in the world [m], no NaN.
+        up: (3,) direction up the torso at the last frame (kinecast.body.torso_frame).
+        dt: time between frames [s].
+        stamp: time of the last frame [s]; moving obstacles need it.
+        noise: (6,) spread of each joint along each axis beyond that of the training data [m].
+    """
+
+    positions: Float[np.ndarray, "N 6 3"]
+    up: Float[np.ndarray, "3"]
+    dt: float
+    stamp: float = 0.0
+    noise: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
+
+    def times(self, steps: int) -> Float[np.ndarray, " T"]:
+        """(T,) the predicted instants [s]."""
+        return self.stamp + self.dt * np.arange(1, steps + 1)
+
+    @cached_property
+    def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+        """Rotation R_world_torso and origin [m] of the last frame's torso."""
+        return reference_frame(self.positions[-1], self.up)
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "N 6 3"]:
+        """(N, 6, 3) the window in the torso frame [m]."""
+        return self.to_torso(self.positions)
+
+    def to_torso(self, positions: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
+        """World positions [m] in the torso frame."""
+        rotation, origin = self.frame
+        return (positions - origin) @ rotation
+
+    def to_world(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
+        """Torso-frame points [m] in the world."""
+        rotation, origin = self.frame
+        return points @ rotation.T + origin
+
+
+@dataclass(frozen=True)
+class TrainingWindows:
+    """Windows and what followed them, from one or more recordings.
+
+    Attributes:
+        observed: (W, N, 6, 3) arm joints in the world [m], repaired, no NaN.
+        future: (W, T, 6, 3) what was measured next [m], no NaN.
+        up: (W, 3) direction up the torso at the last observed frame.
+        recording: (W,) index of the recording each window comes from: folds are made of whole recordings.
+        dt: time between frames [s].
+    """
+
+    observed: Float[np.ndarray, "W N 6 3"]
+    future: Float[np.ndarray, "W T 6 3"]
+    up: Float[np.ndarray, "W 3"]
+    recording: Int[np.ndarray, " W"]
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.observed)
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "W N 6 3"]:
+        """The observed windows, each in its own torso frame [m]."""
+        return self._to_torso(self.observed)
+
+    @cached_property
+    def future_points(self) -> Float[np.ndarray, "W T 6 3"]:
+        """The futures, each in its own window's torso frame [m]."""
+        return self._to_torso(self.future)
+
+    def take(self, rows: Int[np.ndarray, " K"]) -> TrainingWindows:
+        """Some of the windows."""
+        return TrainingWindows(self.observed[rows], self.future[rows], self.up[rows], self.recording[rows], self.dt)
+
+    def folds(self, count: int) -> Int[np.ndarray, " W"]:
+        """(W,) fold of each window: whole recordings where there are enough, else contiguous blocks of time."""
+        recordings = np.unique(self.recording)
+        if len(recordings) >= count:
+            sizes = np.array([np.count_nonzero(self.recording == r) for r in recordings])
+            fold_of: dict[int, int] = {}
+            load = np.zeros(count)
+            for k in np.argsort(-sizes, kind="stable"):
+                fold_of[int(recordings[k])] = int(np.argmin(load))
+                load[np.argmin(load)] += sizes[k]
+            return np.array([fold_of[int(r)] for r in self.recording])
+        return np.minimum(np.arange(len(self)) * count // max(len(self), 1), count - 1)
+
+    def _to_torso(self, positions: Float[np.ndarray, "W K 6 3"]) -> Float[np.ndarray, "W K 6 3"]:
+        rotation, origin = reference_frame(self.observed[:, -1], self.up)
+        return np.einsum("wkjd,wde->wkje", positions - origin[:, None, None], rotation)

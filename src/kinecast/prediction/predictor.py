@@ -1,0 +1,217 @@
+"""The online facade: skeleton frames in, one prediction per frame out, and never an exception."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.errors import OptionError
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.forecast import Forecast, Method
+from kinecast.prediction.methods import read_method
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.track import Track
+from kinecast.types import Density, Prediction, SkeletonFrame, Status
+
+__all__ = ["Predictor", "PredictorOptions"]
+
+HAND_SPEED = 2.0
+"""Fastest approach of a hand [m/s] (ISO 13855:2010, clause 5): bounds what is said before anything is known."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PredictorOptions:
+    """How the online predictor works.
+
+    Attributes:
+        samples: S, motions drawn per prediction, 1..100000.
+        seed: of the random draws; the same frames give the same predictions.
+        longest_delay: a frame older than this when it arrives is LATE [s].
+        most_persons: persons followed at once; the one not seen for longest is forgotten first.
+        forget_after: a person not seen for this long is forgotten [s].
+    """
+
+    samples: int = 1000
+    seed: int = 0
+    longest_delay: float = 0.3
+    most_persons: int = 16
+    forget_after: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.samples <= 100_000:
+            raise OptionError(f"samples {self.samples} is outside 1..100000")
+        if not self.longest_delay > 0:
+            raise OptionError(f"longest_delay {self.longest_delay} s must be above 0")
+        if self.most_persons < 1:
+            raise OptionError(f"most_persons {self.most_persons} must be at least 1")
+
+
+class Predictor:
+    """Follows every person it is shown and predicts both arms after each frame.
+
+    Args:
+        method: a trained method (kinecast.prediction.methods).
+        noise: spread of a measured joint in its training data [m].
+        scene: obstacles the arms must not enter, or None.
+        options: see PredictorOptions.
+    """
+
+    def __init__(
+        self,
+        method: Method,
+        noise: float = 0.0,
+        scene: Scene | None = None,
+        options: PredictorOptions | None = None,
+    ) -> None:
+        self.method = method
+        self.noise = noise
+        self.scene = scene
+        self.options = options or PredictorOptions()
+        self._rng = np.random.default_rng(self.options.seed)
+        self._tracks: dict[str, Track] = {}
+        self._warm_up()
+
+    @classmethod
+    def load(
+        cls, model: str | Path, scene: Scene | None = None, options: PredictorOptions | None = None
+    ) -> Predictor:
+        """A predictor from a model file.
+
+        Raises:
+            ModelError: the file is no model of this kinecast.
+        """
+        card, method = read_method(Path(model))
+        return cls(method, card.noise, scene, options)
+
+    def _warm_up(self) -> None:
+        """Runs once on a resting figure, so that the first frame is as fast as the thousandth."""
+        rest = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
+        positions = np.repeat(rest[None], self.method.frames, axis=0)
+        observation = Observation(positions, np.array([0.0, 0.0, 1.0]), self.method.dt)
+        self.method.forecast(observation, np.random.default_rng(0), self.options.samples, self.scene)
+
+    def observe(self, frame: SkeletonFrame, now: float | None = None) -> Prediction:
+        """Takes in one frame and predicts.
+
+        Args:
+            frame: the newest skeleton of one person.
+            now: the present time on the frame's clock [s]. Predicted steps that have already passed are left out,
+                so that the delay between acquisition and now is compensated for. None: no delay.
+
+        Returns:
+            The prediction. Its status says what was wrong, with advice; nothing is ever raised.
+        """
+        started = time.perf_counter()
+        try:
+            prediction = self._observe(frame, frame.stamp if now is None else now)
+        except Exception:
+            # The loop of a robot must go on whatever happens here; the status makes it stop or slow down.
+            log.exception("prediction failed for person %r at %r", frame.person, frame.stamp)
+            prediction = self._reachable(frame.person, frame.stamp, None, Status.FAULT)
+        milliseconds = 1e3 * (time.perf_counter() - started)
+        return replace(prediction, diagnostics={**prediction.diagnostics, "milliseconds": milliseconds})
+
+    def _observe(self, frame: SkeletonFrame, now: float) -> Prediction:
+        if not np.isfinite(frame.stamp) or not np.isfinite(now):
+            return self._reachable(frame.person, 0.0, None, Status.FAULT)
+        track = self._track(frame)
+        taken = track.add(frame)
+        observation, trouble = track.observation(self.noise)
+        if observation is None:
+            seen = track.arms[-1] if track.arms else None
+            return self._reachable(frame.person, frame.stamp, seen, trouble)
+        forecast = self.method.forecast(observation, self._rng, self.options.samples, self.scene)
+        status = trouble if trouble is not Status.OK else taken
+        if forecast.blocked:
+            status = Status.BLOCKED
+        delay = now - observation.stamp
+        if not -self.method.dt <= delay <= self.options.longest_delay:
+            status = Status.LATE
+        return self._prediction(frame.person, observation, forecast, status, now)
+
+    def _prediction(
+        self, person: str, observation: Observation, forecast: Forecast, status: Status, now: float
+    ) -> Prediction:
+        times = observation.times(self.method.steps)
+        ahead = times > now + 1e-9
+        if not ahead.any():
+            ahead[-1] = True
+        samples = forecast.samples[:, ahead]
+        spread = samples - samples.mean(axis=0)
+        return Prediction(
+            stamp=observation.stamp,
+            times=times[ahead],
+            samples=samples,
+            mean=forecast.mean[ahead],
+            covariance=np.einsum("stjd,stje->tjde", spread, spread) / len(samples),
+            joints=ARM_JOINTS,
+            person=person,
+            status=status,
+            diagnostics={
+                "accepted_fraction": float(forecast.accepted[-1]),
+                "effective_sample_size": float(forecast.distinct),
+                "delay": max(now - observation.stamp, 0.0),
+            },
+            density=_LaterSteps(forecast.density, ahead),
+        )
+
+    def _track(self, frame: SkeletonFrame) -> Track:
+        """This person's track; persons long unseen, and the longest unseen of too many, are forgotten."""
+        if frame.person not in self._tracks:
+            for person, track in list(self._tracks.items()):
+                if track.stamps and frame.stamp - track.stamps[-1] > self.options.forget_after:
+                    del self._tracks[person]
+            if len(self._tracks) >= self.options.most_persons:
+                newest = {person: track.stamps[-1] for person, track in self._tracks.items() if track.stamps}
+                del self._tracks[min(newest, key=lambda person: newest[person])]
+            self._tracks[frame.person] = Track(self.method.dt, self.method.frames)
+        return self._tracks[frame.person]
+
+    def _reachable(
+        self, person: str, stamp: float, arms: Float[np.ndarray, "6 3"] | None, status: Status
+    ) -> Prediction:
+        """All that a person can reach from where the arms are: said while nothing better is known.
+
+        Joints not seen, and all of them without `arms`, are NaN.
+        """
+        steps = np.arange(1, self.method.steps + 1)
+        centre = np.full((6, 3), np.nan) if arms is None else arms
+        reach = HAND_SPEED * self.method.dt * steps
+        directions = self._rng.standard_normal((self.options.samples, 1, 6, 3))
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        radii = np.cbrt(self._rng.random((self.options.samples, 1, 6, 1)))
+        samples = centre + directions * radii * reach[:, None, None]
+        # A ball filled evenly has variance r²/5 along each axis.
+        covariance = (reach**2 / 5)[:, None, None, None] * np.eye(3) * np.ones((6, 1, 1))
+        return Prediction(
+            stamp=stamp,
+            times=stamp + self.method.dt * steps,
+            samples=samples,
+            mean=np.repeat(centre[None], len(steps), axis=0),
+            covariance=covariance,
+            joints=ARM_JOINTS,
+            person=person,
+            status=status,
+            diagnostics={"accepted_fraction": 1.0, "effective_sample_size": float(self.options.samples), "delay": 0.0},
+        )
+
+
+@dataclass(frozen=True)
+class _LaterSteps:
+    """A density asked only at the steps still ahead."""
+
+    density: Density
+    ahead: np.ndarray
+
+    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+        whole = np.full((len(self.ahead), 6, 3), np.nan)
+        whole[self.ahead] = positions
+        return self.density.log_prob(whole)[self.ahead]

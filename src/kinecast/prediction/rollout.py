@@ -1,0 +1,131 @@
+"""Algorithm 1 as loops: motions of the posture drawn step by step inside Eq. 4's bounds.
+
+Two sources of conditionals, one way to constrain: `roll_gaussian` takes them from one joint Gaussian over all
+steps and coordinates, `roll_series` (the paper's) from independent one-step Gaussian processes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit, prange
+
+from kinecast.body.arm_angles import nearest_turn
+from kinecast.body.limits import bounds, speeds_within_wrist_speed
+from kinecast.prediction.truncated_normal import keep_or_redraw, sample
+
+__all__ = ["polar", "roll_gaussian"]
+
+INNOVATION = 6.0
+"""A draw forced by bounds moves what follows by at most this many standard deviations."""
+
+
+@njit(cache=True, fastmath=True)
+def _dot(a: Float[np.ndarray, " K"], b: Float[np.ndarray, " K"], count: int) -> float:
+    total = 0.0
+    for k in range(count):
+        total += a[k] * b[k]
+    return total
+
+
+@njit(cache=True)
+def polar(
+    a: float, b: float, sd_a: float, sd_b: float, previous: float
+) -> tuple[float, float, float, float]:
+    """Mean and spread of (θ3, θ4) from those of the smooth pair (a, b) = (θ4 cos θ3, θ4 sin θ3).
+
+    First order away from a straight elbow; at one, θ3's spread grows until it is all but uniform.
+
+    Returns:
+        mean θ3 (nearest turn to `previous`), its spread, mean θ4, its spread [rad].
+    """
+    bend = math.hypot(a, b)
+    cos, sin = (a / bend, b / bend) if bend > 1e-9 else (1.0, 0.0)
+    sd_bend = math.hypot(sd_a * cos, sd_b * sin)
+    sd_swing = math.hypot(sd_a * sin, sd_b * cos) / max(bend, sd_bend)
+    return nearest_turn(math.atan2(sin, cos), previous), sd_swing, bend, sd_bend
+
+
+@njit(cache=True, parallel=True)
+def roll_gaussian(
+    mean: Float[np.ndarray, "T 18"],
+    cholesky: Float[np.ndarray, "K K"],
+    initial: Float[np.ndarray, "18"],
+    normals: Float[np.ndarray, "S K"],
+    uniforms: Float[np.ndarray, "S T 8"],
+    lower: Float[np.ndarray, "18"],
+    upper: Float[np.ndarray, "18"],
+    speed: Float[np.ndarray, "18"],
+    wrist_speed: float,
+    dt: float,
+) -> Float[np.ndarray, "S T 18"]:
+    """Postures drawn one scalar at a time, each conditional on all that was drawn before it.
+
+    A draw inside its bounds is kept; a violator is redrawn from the truncated normal.
+
+    Args:
+        mean: (T, 18) mean of the smooth posture coordinates.
+        cholesky: (18 T, 18 T) lower factor of their covariance, steps outermost.
+        initial: (18,) last observed posture.
+        normals: (S, 18 T) standard normal draws.
+        uniforms: (S, T, 8) uniform draws for redrawing θ1..θ4, left then right.
+        lower, upper: (18,) range of a posture [rad]; infinite where unconstrained.
+        speed: (18,) greatest speeds [rad/s]; infinite where unconstrained.
+        wrist_speed: greatest speed of a wrist relative to the torso [m/s]; infinite for none.
+        dt: time step [s].
+
+    Returns:
+        (S, T, 18) postures, every θ inside Eq. 4's bounds.
+    """
+    steps, draws = mean.shape[0], normals.shape[0]
+    postures = np.empty((draws, steps, 18))
+    for s in prange(draws):
+        white = normals[s].copy()
+        before = initial.copy()
+        ceiling = np.empty(18)
+        for t in range(steps):
+            speeds_within_wrist_speed(before, speed, wrist_speed, ceiling)
+            for d in range(18):
+                k = 18 * t + d
+                row = cholesky[k]
+                spread = row[k]
+                centre = mean[t, d] + _dot(row, white, k)
+                arm, part = (d - 6) // 6, (d - 6) % 6
+                if d < 6 or part >= 4:
+                    before[d] = centre + spread * white[k]
+                elif part < 2:
+                    lb, ub = bounds(lower[d], upper[d], ceiling[d], before[d], dt)
+                    u = uniforms[s, t, 4 * arm + part]
+                    value = keep_or_redraw(centre + spread * white[k], u, centre, spread, lb, ub)
+                    white[k] = min(max((value - centre) / spread, -INNOVATION), INNOVATION)
+                    before[d] = value
+                elif part == 2:
+                    # θ3 and θ4 come from the pair (a, b) at k and k + 1, drawn together.
+                    below = cholesky[k + 1]
+                    centre_b = mean[t, d + 1] + _dot(below, white, k)
+                    a = centre + spread * white[k]
+                    b = centre_b + below[k] * white[k] + below[k + 1] * white[k + 1]
+                    swing = nearest_turn(math.atan2(b, a), before[d])
+                    bend = math.hypot(a, b)
+                    lb3, ub3 = bounds(lower[d], upper[d], ceiling[d], before[d], dt)
+                    lb4, ub4 = bounds(lower[d + 1], upper[d + 1], ceiling[d + 1], before[d + 1], dt)
+                    if not (lb3 <= swing <= ub3 and lb4 <= bend <= ub4):
+                        sd_b = math.hypot(below[k], below[k + 1])
+                        m3, sd3, m4, sd4 = polar(centre, centre_b, spread, sd_b, before[d])
+                        swing = sample(uniforms[s, t, 4 * arm + 2], m3, sd3, lb3, ub3)
+                        bend = sample(uniforms[s, t, 4 * arm + 3], m4, sd4, lb4, ub4)
+                        a, b = bend * math.cos(swing), bend * math.sin(swing)
+                        z = min(max((a - centre) / spread, -INNOVATION), INNOVATION)
+                        white[k] = z
+                        z = (b - centre_b - below[k] * z) / below[k + 1]
+                        white[k + 1] = min(max(z, -INNOVATION), INNOVATION)
+                    before[d], before[d + 1] = swing, bend
+                # part == 3 was drawn with part 2.
+            # Bones and widths keep a sane length whatever was drawn.
+            before[5] = max(before[5], 0.05)
+            for d in (10, 11, 16, 17):
+                before[d] = max(before[d], 0.05)
+            postures[s, t] = before
+    return postures

@@ -1,0 +1,146 @@
+"""One person's recent frames, as the camera gave them, and the repaired window they make on the model's grid."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.body.torso_frame import UpSource, torso_frame, up_source
+from kinecast.body.tracking import Trouble, repair_window
+from kinecast.prediction.observation import Observation
+from kinecast.types import SkeletonFrame, Status
+
+__all__ = ["Track"]
+
+MOST_FRAMES = 512
+"""Frames kept of one person: bounded memory whatever the camera's rate."""
+LONGEST_GAP = 0.3
+"""After a longer silence [s] a person's history starts anew."""
+BACKWARDS = 1.0
+"""A stamp older than the newest by more than this [s] is a new clock, not a late frame."""
+BONES = (0.10, 0.60)
+"""Lengths of upper arm and forearm that a person can have [m]; from infant to the tallest on record."""
+
+ELBOWS = ((0, 1), (1, 2), (3, 4), (4, 5))
+
+
+@dataclass
+class Track:
+    """One person's last frames.
+
+    Attributes:
+        dt: time between frames of the model's grid [s].
+        frames: N, frames of the model's window.
+    """
+
+    dt: float
+    frames: int
+    stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
+    arms: deque[Float[np.ndarray, "6 3"]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
+    source: UpSource | None = None
+    lean: float = 0.0
+    std: Float[np.ndarray, "6"] | None = None
+
+    @property
+    def span(self) -> float:
+        """Length of the observation window [s]."""
+        return self.dt * (self.frames - 1)
+
+    def add(self, frame: SkeletonFrame) -> Status:
+        """Takes in a frame.
+
+        Returns:
+            OK, LATE (older than the newest, not taken in) or REPEATED (the same as the newest).
+        """
+        if self.stamps:
+            age = self.stamps[-1] - frame.stamp
+            if 0 <= age <= BACKWARDS:
+                return Status.REPEATED if age == 0 else Status.LATE
+            if age > BACKWARDS or -age > LONGEST_GAP:
+                self.stamps.clear()
+                self.arms.clear()
+        arms = _arms(frame)
+        repeated = bool(self.arms) and np.array_equal(self.arms[-1], arms)
+        self.stamps.append(frame.stamp)
+        self.arms.append(arms)
+        self._follow_torso(frame)
+        self.std = None if frame.std is None else _std(frame)
+        return Status.REPEATED if repeated else Status.OK
+
+    def _follow_torso(self, frame: SkeletonFrame) -> None:
+        if not {"left_shoulder", "right_shoulder"} <= set(frame.joints):
+            return
+        if self.source is None or self.source is UpSource.WORLD:
+            self.source = up_source(frame.joints, frame.positions[None])
+        torso = torso_frame(frame.joints, frame.positions, self.source, self.lean)
+        if np.isfinite(torso.lean):
+            self.lean = float(torso.lean)
+
+    def observation(self, noise: float) -> tuple[Observation | None, Status]:
+        """The window on the model's grid, ending at the newest frame, and what was wrong with it.
+
+        Args:
+            noise: spread of a measured joint in the training data [m]; only what a frame states beyond it counts.
+        """
+        stamps = np.array(self.stamps)
+        # A camera a little faster than stated must not keep the window from ever being full.
+        if len(stamps) < 2 or stamps[-1] - stamps[0] < self.span - 0.5 * self.dt:
+            return None, Status.WARMING_UP
+        first = max(int(np.searchsorted(stamps, stamps[-1] - self.span, side="right")) - 1, 0)
+        window = np.array([self.arms[k] for k in range(first, len(stamps))])
+        repair = repair_window(window, stamps[first:])
+        trouble = Trouble(int(np.bitwise_or.reduce(repair.trouble)))
+        if not np.isfinite(repair.positions).all():
+            return None, Status.OCCLUDED
+        grid = stamps[-1] - self.dt * np.arange(self.frames - 1, -1, -1)
+        positions = _interpolate(repair.positions, stamps[first:], grid)
+        shoulders = torso_frame(ARM_JOINTS, positions[-1], UpSource.WORLD, self.lean)
+        excess = np.zeros(6) if self.std is None else np.sqrt(np.maximum(self.std**2 - noise**2, 0.0))
+        observation = Observation(positions, shoulders.T_world_torso[:3, 2], self.dt, float(stamps[-1]), excess)
+        return observation, self._status(positions[-1], trouble, float(np.diff(stamps[first:]).max()))
+
+    def _status(self, last: Float[np.ndarray, "6 3"], trouble: Trouble, longest: float) -> Status:
+        bones = np.array([np.linalg.norm(last[a] - last[b]) for a, b in ELBOWS])
+        if not ((bones > BONES[0]) & (bones < BONES[1])).all():
+            return Status.IMPLAUSIBLE
+        if trouble & Trouble.JUMP:
+            return Status.JUMP
+        if trouble & (Trouble.OCCLUDED | Trouble.LOST):
+            return Status.OCCLUDED
+        if trouble & Trouble.GAP or longest > 2.5 * self.dt:
+            return Status.GAP
+        return Status.REPEATED if trouble & Trouble.REPEATED else Status.OK
+
+
+def _arms(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
+    """The six arm joints of a frame; NaN where it has none."""
+    arms = np.full((6, 3), np.nan)
+    for row, name in enumerate(ARM_JOINTS):
+        if name in frame.joints:
+            arms[row] = frame.positions[frame.joints.index(name)]
+    arms[~np.isfinite(arms).all(axis=1)] = np.nan
+    return arms
+
+
+def _std(frame: SkeletonFrame) -> Float[np.ndarray, "6"]:
+    """What the frame says of its noise per arm joint [m]; 0 where it says nothing sensible."""
+    assert frame.std is not None
+    std = np.zeros(6)
+    for row, name in enumerate(ARM_JOINTS):
+        if name in frame.joints:
+            value = float(frame.std[frame.joints.index(name)])
+            std[row] = min(max(value, 0.0), 1.0) if np.isfinite(value) else 0.0
+    return std
+
+
+def _interpolate(
+    positions: Float[np.ndarray, "K 6 3"], stamps: Float[np.ndarray, " K"], grid: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N 6 3"]:
+    """Linear interpolation at the grid's instants; the first value is held before the first stamp."""
+    right = np.clip(np.searchsorted(stamps, grid), 1, len(stamps) - 1)
+    share = np.clip((grid - stamps[right - 1]) / (stamps[right] - stamps[right - 1]), 0.0, 1.0)[:, None, None]
+    return (1 - share) * positions[right - 1] + share * positions[right]

@@ -1,0 +1,174 @@
+"""What goes through kinecast: a skeleton frame comes in, a prediction goes out. Read this file first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from kinecast.errors import OptionError
+
+__all__ = ["LIMBS", "Density", "Obstacle", "Prediction", "SkeletonFrame", "Status", "Tubes"]
+
+LIMBS = ((0, 1), (1, 2), (3, 4), (4, 5))
+"""Limbs as (start, end) columns of the six arm joints: left upper arm, left forearm, right upper arm, right forearm."""
+
+
+class Status(Enum):
+    """How far a prediction can be trusted. Anything but OK should make a robot slow down or stop."""
+
+    OK = "The prediction is as good as the model's scores."
+    WARMING_UP = "Fewer frames than one observation window so far: keep clear, wait for more."
+    LATE = "The frame is older than the newest one or than the allowed delay: check clocks and load."
+    REPEATED = "The camera sent the same frame again: the last motion is carried on."
+    GAP = "Frames were missing inside the window: velocities are uncertain."
+    OCCLUDED = "An arm joint is not seen: its last known place is carried on."
+    JUMP = "A joint moved faster than a person can: the tracker has probably slipped."
+    IMPLAUSIBLE = "The skeleton is not a person's (bone lengths): check units and tracking."
+    BLOCKED = "No sample satisfies the scene: check the scene's frame and the person's calibration."
+    UNFAMILIAR = "This motion is far from the training data: the trivial predictors have taken over."
+    FAULT = "The prediction failed: treat everything the person can reach as occupied."
+
+    @property
+    def advice(self) -> str:
+        """What it means and what to do, in words."""
+        return self.value
+
+
+@dataclass(frozen=True)
+class SkeletonFrame:
+    """One person's joints at one instant, as a tracker gives them.
+
+    Attributes:
+        stamp: time of acquisition [s], on the same clock for all frames.
+        joints: canonical joint names (kinecast.body.skeleton).
+        positions: (J, 3) joint positions [m] in a z-up world; NaN where not seen.
+        person: the tracker's id of the person.
+        frame_id: name of the coordinate frame the positions are in.
+        std: (J,) standard deviation of each position [m], or None where the tracker gives none.
+    """
+
+    stamp: float
+    joints: tuple[str, ...]
+    positions: Float[np.ndarray, "J 3"]
+    person: str = "0"
+    frame_id: str = "world"
+    std: Float[np.ndarray, " J"] | None = None
+
+    @property
+    def valid(self) -> Bool[np.ndarray, " J"]:
+        """(J,) True where the joint is seen."""
+        return np.isfinite(self.positions).all(axis=-1)
+
+
+class Density(Protocol):
+    """A probability density over the pose of both arms at each predicted step."""
+
+    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+        """(T,) log density [nats, per m^18] of the six arm joints at each step; NaN where a joint is NaN."""
+        ...
+
+
+class Obstacle(Protocol):
+    """Anything with a distance to a line segment (kinecast.geometry.shapes)."""
+
+    def segment_distance(
+        self, start: Float[np.ndarray, "*b 3"], end: Float[np.ndarray, "*b 3"]
+    ) -> Float[np.ndarray, "*b"]:
+        """Signed distance [m] from each segment to the obstacle, above 0 where free."""
+        ...
+
+
+@dataclass(frozen=True)
+class Tubes:
+    """Capsules, one per step and limb (order of `LIMBS`), each holding the limb with a stated probability.
+
+    Attributes:
+        times: (T,) [s].
+        start, end: (T, 4, 3) ends of the capsule's axis [m].
+        radius: (T, 4) [m], of the limb's centre line: add the body's thickness.
+        level: the probability each capsule holds.
+    """
+
+    times: Float[np.ndarray, " T"]
+    start: Float[np.ndarray, "T 4 3"]
+    end: Float[np.ndarray, "T 4 3"]
+    radius: Float[np.ndarray, "T 4"]
+    level: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where both arms of one person will be: a distribution over each of the next steps.
+
+    Attributes:
+        stamp: acquisition time [s] of the newest frame it rests on.
+        times: (T,) the predicted instants [s], same clock.
+        samples: (S, T, 6, 3) equally likely motions [m]; joints in the order of `joints`.
+        mean: (T, 6, 3) expected positions [m].
+        covariance: (T, 6, 3, 3) covariance of each joint [m^2].
+        joints: names of the six joints.
+        person: id of the person.
+        status: how far to trust it.
+        diagnostics: accepted fraction, effective sample size, milliseconds, distance from training data, …
+        density: the exact density behind `log_prob`.
+    """
+
+    stamp: float
+    times: Float[np.ndarray, " T"]
+    samples: Float[np.ndarray, "S T 6 3"]
+    mean: Float[np.ndarray, "T 6 3"]
+    covariance: Float[np.ndarray, "T 6 3 3"]
+    joints: tuple[str, ...]
+    person: str = "0"
+    status: Status = Status.OK
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+    density: Density | None = None
+
+    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+        """(T,) log density [nats] of a pose of the six joints at each step; -inf without a density.
+
+        NaN where a joint of the pose is NaN.
+        """
+        if self.density is None:
+            return np.full(len(self.times), -np.inf)
+        return self.density.log_prob(positions)
+
+    def probability_of_hitting(self, obstacle: Obstacle, radius: float = 0.0) -> Float[np.ndarray, " T"]:
+        """(T,) probability that any limb touches the obstacle at each step.
+
+        Args:
+            obstacle: a shape of kinecast.geometry.shapes.
+            radius: thickness of the limbs [m], added to their centre lines.
+        """
+        start, end = _limbs(self.samples)
+        return (obstacle.segment_distance(start, end) <= radius).any(axis=-1).mean(axis=0)
+
+    def tubes(self, level: float = 0.95) -> Tubes:
+        """Capsules per step and limb which each hold the given share of the samples.
+
+        A sample's limb lies inside as soon as both its ends lie within the radius of the mean limb's
+        ends, since a capsule is convex; the radius is that distance's quantile.
+
+        Raises:
+            OptionError: level outside (0, 1].
+        """
+        if not 0 < level <= 1:
+            raise OptionError(f"level {level} is outside (0, 1]")
+        start, end = _limbs(self.samples)
+        centre_start, centre_end = start.mean(axis=0), end.mean(axis=0)
+        reach = np.maximum(
+            np.linalg.norm(start - centre_start, axis=-1), np.linalg.norm(end - centre_end, axis=-1)
+        )
+        radius = np.quantile(reach, level, axis=0, method="higher")
+        return Tubes(self.times, centre_start, centre_end, radius, level)
+
+
+def _limbs(points: Float[np.ndarray, "*b 6 3"]) -> tuple[Float[np.ndarray, "*b 4 3"], Float[np.ndarray, "*b 4 3"]]:
+    """Start and end points of the four limbs."""
+    start, end = np.array(LIMBS).T
+    return points[..., start, :], points[..., end, :]
