@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -65,6 +65,7 @@ class SkeletonFrame:
         return np.isfinite(self.positions).all(axis=-1)
 
 
+@runtime_checkable
 class Density(Protocol):
     """A probability density over the pose of both arms at each predicted step."""
 
@@ -73,6 +74,7 @@ class Density(Protocol):
         ...
 
 
+@runtime_checkable
 class Obstacle(Protocol):
     """Anything with a distance to a line segment (kinecast.geometry.shapes)."""
 
@@ -161,14 +163,14 @@ class Prediction:
             raise OptionError(f"level {level} is outside (0, 1]")
         start, end = _limbs(self.samples)
         centre_start, centre_end = start.mean(axis=0), end.mean(axis=0)
-        reach = np.maximum(
-            np.linalg.norm(start - centre_start, axis=-1), np.linalg.norm(end - centre_end, axis=-1)
-        )
+        reach = np.maximum(np.linalg.norm(start - centre_start, axis=-1), np.linalg.norm(end - centre_end, axis=-1))
         radius = np.quantile(reach, level, axis=0, method="higher")
         return Tubes(self.times, centre_start, centre_end, radius, level)
 
 
-def _limbs(points: Float[np.ndarray, "*b 6 3"]) -> tuple[Float[np.ndarray, "*b 4 3"], Float[np.ndarray, "*b 4 3"]]:
+def _limbs(
+    points: Float[np.ndarray, "*b 6 3"],
+) -> tuple[Float[np.ndarray, "*b 4 3"], Float[np.ndarray, "*b 4 3"]]:
     """Start and end points of the four limbs."""
     start, end = np.array(LIMBS).T
     return points[..., start, :], points[..., end, :]

@@ -27,9 +27,7 @@ shapes = st.one_of(boxes, spheres, capsules, half_spaces)
 
 @given(shapes, vectors, vectors)
 @settings(max_examples=150, deadline=None)
-def test_the_segment_distance_is_the_least_over_its_points(
-    shape: Shape, start: np.ndarray, end: np.ndarray
-) -> None:
+def test_the_segment_distance_is_the_least_over_its_points(shape: Shape, start: np.ndarray, end: np.ndarray) -> None:
     """A convex function along the segment: refine a grid around its best point until nothing is gained."""
     low, high = 0.0, 1.0
     for _ in range(8):

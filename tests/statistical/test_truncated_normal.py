@@ -53,9 +53,7 @@ def test_keep_or_redraw_has_the_law_of_the_truncated_normal(lower: float, upper:
     rng = np.random.default_rng(3)
     mean, sd = 0.2, 0.8
     normal, uniform = mean + sd * rng.standard_normal(DRAWS), rng.random(DRAWS)
-    draws = np.array(
-        [keep_or_redraw(z, u, mean, sd, lower, upper) for z, u in zip(normal, uniform, strict=True)]
-    )
+    draws = np.array([keep_or_redraw(z, u, mean, sd, lower, upper) for z, u in zip(normal, uniform, strict=True)])
     peer = stats.truncnorm((lower - mean) / sd, (upper - mean) / sd, loc=mean, scale=sd)
     assert discrepancy(draws, peer.cdf) < LIMIT
 

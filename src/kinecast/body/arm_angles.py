@@ -15,7 +15,7 @@ Two sets of angles describe the same arm: (θ1, θ2, θ3, θ4) and (θ1 + π, π
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import TypeAlias, no_type_check
 
 from numba import njit
 
@@ -50,17 +50,19 @@ OUTSIDE_WEIGHT = 16.0
 FAR = math.radians(195.0)
 """Whole turns are given up this far from the middle of the range: half a turn, and 15° against chatter."""
 
-UNDEFINED = 1e-12
+UNDEFINED = 1e-13
 """Sine below which a direction is round-off: the angle about it is undefined and keeps its previous value."""
 
 
 @njit(cache=True)
+@no_type_check
 def nearest_turn(angle: float, target: float) -> float:
     """The angle [rad], moved by whole turns to within π of target."""
     return angle + TURN * math.floor((target - angle) * PER_TURN + 0.5)
 
 
 @njit(cache=True)
+@no_type_check
 def arm_vectors(theta: Angles, upper: float, fore: float, side: float) -> tuple[Vector, Vector]:
     """Forward kinematics: upper arm L1·u and forearm L2·(cos θ4 u + sin θ4 (cos θ3 e1 + sin θ3 e2)).
 
@@ -87,6 +89,7 @@ def arm_vectors(theta: Angles, upper: float, fore: float, side: float) -> tuple[
 
 
 @njit(cache=True)
+@no_type_check
 def _beyond(angle: float, usual: tuple[float, float]) -> float:
     """Squared distance [rad²] of an angle from its usual range."""
     distance = max(usual[0] - angle, angle - usual[1], 0.0)
@@ -94,6 +97,7 @@ def _beyond(angle: float, usual: tuple[float, float]) -> float:
 
 
 @njit(cache=True)
+@no_type_check
 def _turned(angle: float, previous: float, usual: tuple[float, float]) -> float:
     """The angle by whole turns nearest to previous, or to the usual range when that is far from it."""
     middle = 0.5 * (usual[0] + usual[1])
@@ -102,13 +106,14 @@ def _turned(angle: float, previous: float, usual: tuple[float, float]) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def arm_angles(u: Vector, f: Vector, side: float, previous: Angles) -> Angles:
     """Inverse kinematics: of the two branches, the one nearest to the previous angles and to the usual range.
 
     It has the least squared distance in (θ1, θ2, θ4 cos θ3, θ4 sin θ3), which is smooth at a straight elbow,
     plus 16 times the squared distance from the usual range. So continuous motion keeps its branch, but a
-    tracker that jumps across the shoulder cannot leave an arm on a branch no arm can be on. Whole turns are the
-    nearest to the previous angles, until that is more than 195° from the middle of the usual range.
+    tracker that jumps across the shoulder cannot leave an arm on a branch no arm can be on. Whole turns are
+    the nearest to the previous angles, until that is more than 195° from the middle of the usual range.
 
     An angle that is undefined keeps its previous value, 0 when there is none: θ3 at a straight elbow, θ1 with
     the arm straight out sideways. A forearm that is NaN gives NaN for θ3 and θ4 alone.

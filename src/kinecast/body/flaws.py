@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float, Int8
@@ -83,11 +85,12 @@ def find_flaws(
     """
     flaws = np.zeros(positions.shape[:-1], dtype=np.int8)
     frames, joints = positions.shape[-3:-1]
+    windows = math.prod(positions.shape[:-3])
     _find_flaws(
-        np.ascontiguousarray(positions).reshape(-1, frames, joints, 3),
-        np.ascontiguousarray(stamps).reshape(-1, frames),
+        np.ascontiguousarray(positions).reshape(windows, frames, joints, 3),
+        np.ascontiguousarray(stamps).reshape(windows, frames),
         limits.max_speed, limits.max_acceleration, limits.min_jump, limits.longest_jump,
-        flaws.reshape(-1, frames, joints),
+        flaws.reshape(windows, frames, joints),
     )  # fmt: skip
     return flaws
 
@@ -96,6 +99,7 @@ NONE, REPEATED, MISSING, JUMP = int(Flaw.NONE), int(Flaw.REPEATED), int(Flaw.MIS
 
 
 @njit(cache=True)
+@no_type_check
 def _repeated(positions: np.ndarray, repeated: np.ndarray) -> None:
     frames, joints = positions.shape[:2]
     for i in range(1, frames):
@@ -114,6 +118,7 @@ def _repeated(positions: np.ndarray, repeated: np.ndarray) -> None:
 
 
 @njit(cache=True)
+@no_type_check
 def _departure(positions: np.ndarray, stamps: np.ndarray, j: int, a: int, b: int, p: int, q: int) -> float:
     """How far the step a → b is from going on at the velocity of the step p → q [m]."""
     scale = (stamps[b] - stamps[a]) / (stamps[q] - stamps[p])
@@ -125,6 +130,7 @@ def _departure(positions: np.ndarray, stamps: np.ndarray, j: int, a: int, b: int
 
 
 @njit(cache=True)
+@no_type_check
 def _length(positions: np.ndarray, j: int, a: int, b: int) -> float:
     total = 0.0
     for d in range(3):
@@ -134,6 +140,7 @@ def _length(positions: np.ndarray, j: int, a: int, b: int) -> float:
 
 
 @njit(cache=True)
+@no_type_check
 def _is_jolt(
     positions: np.ndarray,
     stamps: np.ndarray,
@@ -158,6 +165,7 @@ def _is_jolt(
 
 
 @njit(cache=True)
+@no_type_check
 def _returns(positions: np.ndarray, j: int, a: int, b: int, c: int, e: int) -> bool:
     """Whether the step c → e takes back the step a → b, or ends near a, to half of the larger step."""
     uncancelled = 0.0
@@ -169,6 +177,7 @@ def _returns(positions: np.ndarray, j: int, a: int, b: int, c: int, e: int) -> b
 
 
 @njit(cache=True)
+@no_type_check
 def _find_jumps(
     positions: np.ndarray,
     stamps: np.ndarray,
@@ -200,6 +209,7 @@ def _find_jumps(
 
 
 @njit(cache=True)
+@no_type_check
 def _find_flaws(
     positions: np.ndarray,
     stamps: np.ndarray,
@@ -220,6 +230,4 @@ def _find_flaws(
                 elif repeated[i]:
                     flaws[w, i, j] = REPEATED
         for j in range(joints):
-            _find_jumps(
-                positions[w], stamps[w], j, max_speed, max_acceleration, min_jump, longest_jump, flaws[w]
-            )
+            _find_jumps(positions[w], stamps[w], j, max_speed, max_acceleration, min_jump, longest_jump, flaws[w])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -153,6 +154,7 @@ class JointLimits:
 
 
 @njit(cache=True)
+@no_type_check
 def bounds(lower: float, upper: float, speed: float, previous: float, dt: float) -> tuple[float, float]:
     """Eq. 4: lb = max(lower, θ − speed·dt), ub = min(upper, θ + speed·dt) (kernel).
 
@@ -177,9 +179,8 @@ def bounds(lower: float, upper: float, speed: float, previous: float, dt: float)
 
 
 @njit(cache=True)
-def speeds_within_wrist_speed(
-    posture: np.ndarray, speed: np.ndarray, wrist_speed: float, out: np.ndarray
-) -> None:
+@no_type_check
+def speeds_within_wrist_speed(posture: np.ndarray, speed: np.ndarray, wrist_speed: float, out: np.ndarray) -> None:
     """Speeds that also hold the wrist's: min(speed_i, v / |∂wrist/∂θ_i|), each angle alone (kernel).
 
     Args:
@@ -206,6 +207,7 @@ def speeds_within_wrist_speed(
 
 
 @njit(cache=True)
+@no_type_check
 def _violations(
     postures: np.ndarray,
     initial: np.ndarray,

@@ -19,6 +19,7 @@ d = w (−sin ψ cos ρ, cos ψ cos ρ, sin ρ), the torso turns by R = Rz(ψ) R
 from __future__ import annotations
 
 import math
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -43,6 +44,7 @@ LENGTHS = (5, 10, 11, 16, 17)
 
 
 @njit(cache=True)
+@no_type_check
 def _difference(points: np.ndarray, tip: int, base: int) -> Vector:
     return (
         points[tip, 0] - points[base, 0],
@@ -52,6 +54,7 @@ def _difference(points: np.ndarray, tip: int, base: int) -> Vector:
 
 
 @njit(cache=True)
+@no_type_check
 def _into_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
     """Rᵀ v with R = Rz(ψ) Rx(ρ)."""
     level = cy * v[1] - sy * v[0]
@@ -59,6 +62,7 @@ def _into_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector
 
 
 @njit(cache=True)
+@no_type_check
 def _out_of_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
     """R v with R = Rz(ψ) Rx(ρ)."""
     level = cr * v[1] - sr * v[2]
@@ -66,11 +70,13 @@ def _out_of_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vect
 
 
 @njit(cache=True)
+@no_type_check
 def _length(v: Vector) -> float:
     return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 @njit(cache=True)
+@no_type_check
 def posture_of_points(points: np.ndarray, previous: np.ndarray, out: np.ndarray) -> None:
     """The posture of six points, on the branch nearest to the previous posture (kernel).
 
@@ -82,16 +88,14 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, out: np.ndarray)
     d = _difference(points, 0, 3)
     level = math.sqrt(d[0] * d[0] + d[1] * d[1])
     width = _length(d)
-    yaw = previous[3]
+    yaw = math.nan if math.isnan(width) else previous[3]
     if level > UNDEFINED * width:
         turned = math.atan2(-d[0], d[1])
         yaw = turned if math.isnan(yaw) else nearest_turn(turned, yaw)
         sy, cy = -d[0] / level, d[1] / level
     else:
-        yaw = 0.0 if math.isnan(yaw) else yaw
+        yaw = 0.0 if math.isnan(yaw) and not math.isnan(width) else yaw
         sy, cy = math.sin(yaw), math.cos(yaw)
-    if math.isnan(width):
-        yaw = math.nan
     for axis in range(3):
         out[axis] = 0.5 * (points[0, axis] + points[3, axis])
     out[3] = yaw
@@ -115,6 +119,7 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, out: np.ndarray)
 
 
 @njit(cache=True)
+@no_type_check
 def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
     """The six points of a posture (kernel).
 
@@ -140,6 +145,7 @@ def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True)
+@no_type_check
 def _posture_series(points: np.ndarray, previous: np.ndarray, continuous: bool, out: np.ndarray) -> None:
     last = np.empty(18)
     for series in range(points.shape[0]):
@@ -153,6 +159,7 @@ def _posture_series(points: np.ndarray, previous: np.ndarray, continuous: bool, 
 
 
 @njit(cache=True)
+@no_type_check
 def _points_series(postures: np.ndarray, out: np.ndarray) -> None:
     for i in range(postures.shape[0]):
         points_of_posture(postures[i], out[i])
@@ -224,10 +231,8 @@ def log_det_jacobian(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarr
         axis=-1,
     )  # fmt: skip
     with np.errstate(divide="ignore"):
-        log_det: Float[np.ndarray, "*batch"] = np.sum(
-            2.0 * np.log(np.abs(squared)) + np.log(np.abs(single)), axis=-1
-        )
-    return log_det
+        logs = 2.0 * np.log(np.abs(squared)) + np.log(np.abs(single))
+    return np.asarray(logs.sum(axis=-1))
 
 
 def other_branch(theta: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 4"]:

@@ -108,9 +108,7 @@ def require_arms(joints: Iterable[str], where: object) -> None:
     missing = [joint for joint in ARM_JOINTS if joint not in present]
     if missing:
         found = ", ".join(present) or "no joint"
-        raise DatasetError(
-            where, f"{', '.join(missing)} missing: both arms are needed; the joints are {found}"
-        )
+        raise DatasetError(where, f"{', '.join(missing)} missing: both arms are needed; the joints are {found}")
 
 
 def _skeleton(name: str, table: str) -> Skeleton:

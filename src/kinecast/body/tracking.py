@@ -7,7 +7,7 @@ With hindsight (`fill`) both sides of a flaw are known. In the window an online 
 from __future__ import annotations
 
 from enum import IntFlag
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float, Int8, UInt8
@@ -22,8 +22,8 @@ __all__ = ["Trouble", "WindowRepair", "fill", "repair_window", "repair_windows"]
 # line at 30 Hz (13.1 against 13.5 mm over 0.2 s), twice as good at 100 Hz (3.8 against 8.1 mm).
 SLOPE_TIME = 0.1
 SLOPE_SHARE = 0.5
-# The last velocity is carried on for this long [s]: 24.0 mm off after 0.1 s on HA4M, 10.2 on LEGO, 23 on Vicon;
-# holding still is 27.0, 9.0 and 44 mm off.
+# The last velocity is carried on for this long [s]: 23.4 mm off after 0.1 s on HA4M, 6.1 on LEGO, 27.7 on
+# Vicon; holding still is 25.7, 5.2 and 43.3 mm off.
 CARRY_ON = 0.05
 # A joint that has been elsewhere for longer than this really is there [s]. Two frames at 30 Hz leave less
 # error than one or three.
@@ -118,6 +118,7 @@ _JUMP, _LOST = int(Trouble.JUMP), int(Trouble.LOST)
 
 
 @njit(cache=True)
+@no_type_check
 def _slope(
     positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, j: int, i: int, way: int, slope: np.ndarray
 ) -> bool:
@@ -153,6 +154,7 @@ def _slope(
 
 
 @njit(cache=True)
+@no_type_check
 def _bridge(
     positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, j: int, a: int, b: int, touched: np.ndarray
 ) -> None:
@@ -175,9 +177,8 @@ def _bridge(
 
 
 @njit(cache=True)
-def _fill(
-    positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, max_gap: float, touched: np.ndarray
-) -> None:
+@no_type_check
+def _fill(positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, max_gap: float, touched: np.ndarray) -> None:
     frames, joints = positions.shape[:2]
     for j in range(joints):
         before = -1
@@ -200,6 +201,7 @@ def _fill(
 
 
 @njit(cache=True)
+@no_type_check
 def _carry_on(
     positions: np.ndarray,
     stamps: np.ndarray,
@@ -216,9 +218,8 @@ def _carry_on(
 
 
 @njit(cache=True)
-def _find_newest_jump(
-    positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, j: int, max_speed: float
-) -> None:
+@no_type_check
+def _find_newest_jump(positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, j: int, max_speed: float) -> None:
     """Flaw the newest values where all of them are off the way of those before, faster than max_speed."""
     newest = len(stamps) - 1
     place = np.zeros(3)
@@ -243,9 +244,8 @@ def _find_newest_jump(
 
 
 @njit(cache=True)
-def _mend_ends(
-    positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, j: int, touched: np.ndarray
-) -> None:
+@no_type_check
+def _mend_ends(positions: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, j: int, touched: np.ndarray) -> None:
     """Hold the first sound value back to the start, carry the last one on to the end."""
     sound = np.flatnonzero(flaws[:, j] == NONE)
     if len(sound) == 0:
@@ -260,6 +260,7 @@ def _mend_ends(
 
 
 @njit(cache=True)
+@no_type_check
 def _trouble(flaws: np.ndarray, j: int) -> int:
     newest = len(flaws) - 1
     trouble, unseen = 0, 0
@@ -279,6 +280,7 @@ def _trouble(flaws: np.ndarray, j: int) -> int:
 
 
 @njit(cache=True)
+@no_type_check
 def _repair(
     positions: np.ndarray,
     stamps: np.ndarray,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections import Counter
 from dataclasses import replace
@@ -88,16 +87,17 @@ def _label_file(path: Path) -> Path | None:
 def _frame_labels(file: Path, stamps: Float[np.ndarray, " N"]) -> tuple[str, ...]:
     """Majority label of the window each stamp lies in."""
     votes: dict[int, Counter[str]] = {}
-    reader = csv.reader(io.StringIO(read_bytes(file).decode("utf-8-sig", errors="replace")))
-    header = next(reader, [])
-    tracks = [
-        place for place, name in enumerate(header) if re.fullmatch(rf"{_TRACK}_Annotator\d", name.strip())
-    ]
+    text = read_bytes(file).decode("utf-8-sig", errors="replace")
+    try:
+        header, *lines = list(csv.reader(text.splitlines())) or [[]]
+    except csv.Error as error:
+        raise DatasetError(file, f"broken csv: {error}") from error
+    tracks = [place for place, name in enumerate(header) if re.fullmatch(rf"{_TRACK}_Annotator\d", name.strip())]
     if not tracks or header[0].strip() != "t_video":
         expected = f"t_video, …, {_TRACK}_Annotator1, …"
         raise DatasetError(f"{file}, line 1", f"header is {','.join(header)[:60]!r}, expected {expected}")
-    for cells in reader:
-        where = f"{file}, line {reader.line_num}"
+    for line, cells in enumerate(lines, 2):
+        where = f"{file}, line {line}"
         if not cells:
             continue
         if len(cells) != len(header):

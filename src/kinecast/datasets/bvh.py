@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from kinecast.body.skeleton import ARM_JOINTS, BVH_COLLAR, BVH_FOREARM, Skeleton
 from kinecast.datasets.axes import from_y_up
-from kinecast.datasets.compressed import base_name, head, read_bytes
+from kinecast.datasets.compressed import MOST_POINTS, base_name, head, read_bytes
 from kinecast.datasets.delimited import number, rows
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
@@ -38,9 +38,7 @@ class BvhOptions:
 
     def __post_init__(self) -> None:
         if not 0 < self.metres_per_unit <= 1000:
-            raise OptionError(
-                f"metres_per_unit is {self.metres_per_unit}, expected more than 0 and at most 1000"
-            )
+            raise OptionError(f"metres_per_unit is {self.metres_per_unit}, expected more than 0 and at most 1000")
         if self.up not in ("y", "z"):
             raise OptionError(f"up is {self.up!r}, expected 'y' or 'z'")
 
@@ -125,7 +123,7 @@ def _hierarchy(text: str, path: Path) -> list[_Joint]:
                 pass
             case ["ROOT", *_] if joints:
                 raise DatasetError(where, "a second ROOT; expected one person in a file")
-            case ["ROOT" | "JOINT", _, *_]:
+            case ["ROOT" | "JOINT" as kind, _, *_] if (kind == "ROOT") == (depth == 0):
                 # Some exporters write the person before the joint: `mixamorig:LeftArm`.
                 joints.append(_Joint(statement.split(None, 1)[1].rpartition(":")[2].strip(), depth))
             case ["End", *_]:
@@ -137,7 +135,7 @@ def _hierarchy(text: str, path: Path) -> list[_Joint]:
             case ["OFFSET", x, y, z] if joints:
                 joints[-1].offset = tuple(number(word, where, "offset") for word in (x, y, z))
             case ["CHANNELS", count, *channels] if (
-                joints and count == str(len(channels)) and _CHANNELS.issuperset(channels)
+                joints and count == str(len(set(channels))) == str(len(channels)) and _CHANNELS.issuperset(channels)
             ):
                 joints[-1].channels = channels
             case _:
@@ -151,35 +149,29 @@ def _hierarchy(text: str, path: Path) -> list[_Joint]:
 
 def _statements(text: str) -> list[tuple[int, str]]:
     """(line, statement) pairs; a brace is a statement by itself wherever it stands."""
-    pieces = (
-        (line, piece)
-        for line, whole in enumerate(text.split("\n"), 1)
-        for piece in re.split(r"([{}])", whole)
-    )
+    pieces = ((line, piece) for line, whole in enumerate(text.split("\n"), 1) for piece in re.split(r"([{}])", whole))
     return [(line, piece.strip()) for line, piece in pieces if piece.strip()]
 
 
-def _motion(
-    text: bytes, start: int, joints: list[_Joint], path: Path
-) -> tuple[float, Float[np.ndarray, "N C"]]:
+def _motion(text: bytes, start: int, joints: list[_Joint], path: Path) -> tuple[float, Float[np.ndarray, "N C"]]:
     """Frame time [s] and the channel values of every frame."""
     line = text.count(b"\n", 0, start) + 1
-    _, frames, frame_time, *data = text[start:].split(b"\n", 3)
+    _, frames, frame_time, data, *_ = *text[start:].split(b"\n", 3), b"", b"", b""
     counted = re.fullmatch(rb"\s*Frames:\s*(\d+)\s*", frames)
     timed = re.fullmatch(rb"\s*Frame Time:\s*(\S+)\s*", frame_time)
-    if not counted or not timed or not data:
-        raise DatasetError(
-            f"{path}, line {line + 1}", "expected the lines 'Frames: <N>' and 'Frame Time: <seconds>'"
-        )
+    if not counted or not timed:
+        raise DatasetError(f"{path}, line {line + 1}", "expected the lines 'Frames: <N>' and 'Frame Time: <seconds>'")
     step = number(timed[1].decode("utf-8", errors="replace"), f"{path}, line {line + 2}", "frame time")
     if step <= 0:
         raise DatasetError(f"{path}, line {line + 2}", f"frame time is {step} s, expected more than 0")
     columns = sum(len(joint.channels) for joint in joints)
     if not columns:
         raise DatasetError(path, "the hierarchy has no CHANNELS")
-    table = rows(data[0], columns, path, delimiter=None, first_line=line + 3)
+    table = rows(data, columns, path, delimiter=None, first_line=line + 3)
     if len(table) != int(counted[1]):
         raise DatasetError(path, f"{len(table)} frames of motion, but line {line + 1} says {int(counted[1])}")
+    if len(table) * len(joints) > MOST_POINTS:
+        raise DatasetError(path, f"{len(table)} frames of {len(joints)} joints, at most {MOST_POINTS} positions")
     return step, table
 
 

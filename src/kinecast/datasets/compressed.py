@@ -7,18 +7,21 @@ import lzma
 import sys
 import zlib
 from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
-from typing import IO, cast
 
 from kinecast.errors import DatasetError
 
-__all__ = ["STREAM_LIMIT", "WHOLE_LIMIT", "base_name", "chunks", "head", "read_bytes"]
+__all__ = ["MOST_POINTS", "STREAM_LIMIT", "WHOLE_LIMIT", "base_name", "chunks", "head", "read_bytes"]
 
 STREAM_LIMIT = 2 << 30
 """Largest decompressed size [bytes] of a file read in pieces."""
 
 WHOLE_LIMIT = 256 << 20
 """Largest decompressed size [bytes] of a file held in memory: over an hour of nine Vicon bodies at 100 Hz."""
+
+MOST_POINTS = 20_000_000
+"""Most joint positions held of one file: an hour of 23 joints at 240 Hz."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _XZ_MAGIC = b"\xfd7zXZ\x00"
@@ -58,12 +61,12 @@ def chunks(path: Path, limit: int = STREAM_LIMIT, size: int = 1 << 20) -> Iterat
         raise DatasetError(path, "empty file")
 
 
-def _open(path: Path) -> IO[bytes]:
+def _open(path: Path) -> gzip.GzipFile | lzma.LZMAFile | BufferedReader:
     """The file opened through the compression its first bytes tell."""
     with path.open("rb") as file:
         magic = file.read(len(_XZ_MAGIC))
     if magic.startswith(_GZIP_MAGIC):
-        return cast(IO[bytes], gzip.open(path, "rb"))
+        return gzip.open(path, "rb")
     if magic == _XZ_MAGIC:
         return lzma.open(path, "rb")
     if magic and path.suffix in _SUFFIXES:

@@ -27,7 +27,7 @@ def split_lines(text: bytes, count: int, where: Path) -> tuple[list[str], bytes]
     *first, rest = text.removeprefix(b"\xef\xbb\xbf").split(b"\n", count)
     if len(first) < count:
         raise DatasetError(
-            where, f"ends after line {len(first) + 1}; expected {count} header lines and then data"
+            where, f"ends after line {len(first) + bool(rest)}; expected {count} header lines and then data"
         )
     try:
         return [line.decode("utf-8").strip() for line in first], rest

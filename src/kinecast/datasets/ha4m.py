@@ -54,9 +54,7 @@ def load(path: Path) -> list[Recording]:
     """
     cameras = sorted(folder for folder in path.glob("Skeletons/*") if folder.is_dir())
     if not cameras:
-        raise DatasetError(
-            path, "expected a clip's folder with frame files in Skeletons/<camera>/FrameID<N>_*.txt"
-        )
+        raise DatasetError(path, "expected a clip's folder with frame files in Skeletons/<camera>/FrameID<N>_*.txt")
     label_files = sorted([*path.glob("Labels.txt*"), *path.glob("*/Labels.txt*")])
     labels = _labels(label_files[0]) if label_files else None
     clip = path.absolute().name

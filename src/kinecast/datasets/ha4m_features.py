@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 from jaxtyping import Float
@@ -71,7 +72,7 @@ def _array(path: Path) -> tuple[Float[np.ndarray, "C T"], Skeleton]:
             (2, 0): np.lib.format.read_array_header_2_0,
         }[version]
         shape, _, dtype = read_header(data)
-    except (ValueError, KeyError, EOFError) as error:
+    except (ValueError, KeyError, EOFError, SyntaxError, TokenError) as error:
         raise DatasetError(path, f"not a NumPy array of version 1 or 2: {error}") from error
     if dtype != np.float64 or len(shape) != 2 or shape[0] not in _SKELETONS:
         raise DatasetError(path, f"array of {dtype} {shape}, expected float64 (69, T) or (42, T)")

@@ -29,11 +29,14 @@ from kinecast.datasets.bvh import CENTIMETRES_Y_UP, BvhOptions
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 
-__all__ = ["BONE_RANGE", "FORMATS", "check", "load", "load_all"]
+__all__ = ["BONE_RANGE", "FARTHEST", "FORMATS", "check", "load", "load_all"]
 
 BONE_RANGE = (0.10, 0.60)
 """Shortest and longest believable median upper arm or forearm [m]. Adults' are 0.2 to 0.4 m; between marker
 clusters, which sit beside the joints, 0.13 to 0.32 m are measured."""
+
+FARTHEST = 10_000.0
+"""Largest believable coordinate [m]; larger ones are damage."""
 
 _BONES = (
     ("left_shoulder", "left_elbow"), ("left_elbow", "left_wrist"),
@@ -71,9 +74,7 @@ FORMATS = tuple(sorted({each.name for each in _formats(CENTIMETRES_Y_UP)}))
 """Names of the formats, as `load` takes them."""
 
 
-def load(
-    path: Path, format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP
-) -> list[Recording]:
+def load(path: Path, format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
     """Every recording in a file or folder.
 
     Args:
@@ -129,17 +130,19 @@ def check(recording: Recording, where: object) -> None:
         where: file or folder, for the message.
 
     Raises:
-        DatasetError: fewer than 2 frames, an arm joint that is not tracked or never seen, a position that is
-            infinite, or a median arm bone outside `BONE_RANGE`.
+        DatasetError: fewer than 2 frames, an arm joint that is not tracked or never seen, a position
+            beyond `FARTHEST`, or a median arm bone outside `BONE_RANGE`.
     """
     place = where if recording.person == "0" else f"{where}, person {recording.person}"
     frames = len(recording.stamps)
     if frames < 2:
         raise DatasetError(place, f"{frames} frame; at least 2 are needed")
     require_arms(recording.joints, place)
-    infinite = np.isinf(recording.positions).any(axis=(1, 2))
-    if infinite.any():
-        raise DatasetError(f"{place}, frame {int(np.argmax(infinite)) + 1}", "a position is infinite")
+    distances = np.abs(recording.positions).max(axis=(1, 2), initial=0.0, where=~np.isnan(recording.positions))
+    if (distances > FARTHEST).any():
+        frame = int(np.argmax(distances > FARTHEST))
+        problem = f"a position is {distances[frame]:.3g} m away, expected at most {FARTHEST:g} m"
+        raise DatasetError(f"{place}, frame {frame + 1}", problem)
     unseen = [joint for joint in ARM_JOINTS if np.isnan(recording.joint(joint)).any(axis=-1).all()]
     if unseen:
         raise DatasetError(place, f"{', '.join(unseen)} missing in every one of {frames} frames")

@@ -9,7 +9,7 @@ from xml.parsers import expat
 import numpy as np
 
 from kinecast.body.skeleton import XSENS_23
-from kinecast.datasets.compressed import base_name, chunks, head
+from kinecast.datasets.compressed import MOST_POINTS, base_name, chunks, head
 from kinecast.datasets.delimited import number
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
@@ -113,6 +113,8 @@ class _Document:
             self._in_frame = True
             index = attributes.get("index") or str(len(self.indices))
             self.indices.append(number(index, self._where, "frame index"))
+            if len(self.indices) * len(self.segments) > MOST_POINTS:
+                raise DatasetError(self._where, f"more than {MOST_POINTS} segment positions")
         elif name == "position" and self._in_frame:
             self._text = []
             self._parser.CharacterDataHandler = self._characters

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from kinecast.datasets.compressed import base_name
+from kinecast.datasets.compressed import MOST_POINTS, base_name
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.table_file import Rows, Words, is_table, read_rows, write_rows
 from kinecast.errors import DatasetError
@@ -32,13 +32,12 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
         recordings: at least one; each of another person.
 
     Raises:
+        OptionError: the path has another ending.
         DatasetError: two recordings are of one person, there is none, or the file cannot be written.
     """
     persons = [recording.person for recording in recordings]
     if not recordings or len(set(persons)) < len(persons):
-        raise DatasetError(
-            path, f"persons {persons}: a table holds one recording of each person, and at least one"
-        )
+        raise DatasetError(path, f"persons {persons}: a table holds one recording of each person, and at least one")
     blocks = [_block(recording) for recording in recordings]
     labelled = any(recording.labels is not None for recording in recordings)
     write_rows(
@@ -127,9 +126,7 @@ def _inferred(rows: Rows, person: str, path: Path) -> _Description:
     mine = rows.person.codes == rows.person.names.index(person)
     stamps = np.unique(rows.stamp[mine])
     if len(stamps) < 2:
-        raise DatasetError(
-            path, f"{len(stamps)} frame of person {person!r}; at least 2 are needed to tell the rate"
-        )
+        raise DatasetError(path, f"{len(stamps)} frame of person {person!r}; at least 2 are needed to tell the rate")
     rate = float(1.0 / np.median(np.diff(stamps)))
     alone = len(rows.person.names) == 1
     return _Description(
@@ -161,10 +158,12 @@ def _recording(rows: Rows, description: _Description, path: Path) -> Recording:
     person = rows.person.names.index(description.person) if description.person in rows.person.names else -1
     mine = np.flatnonzero(rows.person.codes == person)
     stamps, frame = np.unique(rows.stamp[mine], return_inverse=True)
+    if len(stamps) * len(description.joints) > MOST_POINTS:
+        raise DatasetError(
+            path, f"{len(stamps)} frames of {len(description.joints)} joints, at most {MOST_POINTS} positions"
+        )
     places = {joint: place for place, joint in enumerate(description.joints)}
-    joint = np.array([places.get(name, -1) for name in rows.joint.names], dtype=np.intp)[
-        rows.joint.codes[mine]
-    ]
+    joint = np.array([places.get(name, -1) for name in rows.joint.names], dtype=np.intp)[rows.joint.codes[mine]]
     if (joint < 0).any():
         row = mine[np.argmax(joint < 0)]
         name = rows.joint.names[rows.joint.codes[row]]
@@ -202,9 +201,7 @@ def _labels(
     codes[frame] = rows.label.codes[mine]
     differs = codes[frame] != rows.label.codes[mine]
     if differs.any():
-        raise DatasetError(
-            f"{path}, row {mine[np.argmax(differs)] + 1}", "another label than other rows of its stamp"
-        )
+        raise DatasetError(f"{path}, row {mine[np.argmax(differs)] + 1}", "another label than other rows of its stamp")
     return tuple(rows.label.names[code] if code >= 0 else "" for code in codes)
 
 

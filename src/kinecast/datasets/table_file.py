@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BufferedWriter
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,13 +18,10 @@ import pyarrow.csv
 import pyarrow.parquet
 from jaxtyping import Float, Int
 
-from kinecast.datasets.compressed import STREAM_LIMIT, head, read_bytes
-from kinecast.errors import DatasetError
+from kinecast.datasets.compressed import MOST_POINTS, head, read_bytes
+from kinecast.errors import DatasetError, OptionError
 
-__all__ = ["MOST_ROWS", "Rows", "Words", "is_table", "read_rows", "write_rows"]
-
-MOST_ROWS = 20_000_000
-"""Rows beyond which a table is refused: eight hours of 23 joints at 30 Hz."""
+__all__ = ["Rows", "Words", "is_table", "read_rows", "write_rows"]
 
 _METADATA_KEY = b"kinecast"
 _CSV_METADATA = b"# kinecast "
@@ -83,9 +81,7 @@ def is_table(path: Path) -> bool:
     """Whether a file is parquet, or csv with the table's metadata or column names."""
     start = head(path)
     columns = {name.strip().strip(b'"') for name in start.partition(b"\n")[0].split(b",")}
-    return (
-        start.startswith((_PARQUET_MAGIC, _CSV_METADATA)) or {name.encode() for name in _REQUIRED} <= columns
-    )
+    return start.startswith((_PARQUET_MAGIC, _CSV_METADATA)) or {name.encode() for name in _REQUIRED} <= columns
 
 
 def write_rows(path: Path, rows: Rows) -> None:
@@ -96,7 +92,8 @@ def write_rows(path: Path, rows: Rows) -> None:
         rows: what to write.
 
     Raises:
-        DatasetError: the path has another ending, or cannot be written.
+        OptionError: the path has another ending.
+        DatasetError: the file cannot be written.
     """
     columns: dict[str, Any] = {
         "stamp": rows.stamp,
@@ -114,15 +111,13 @@ def write_rows(path: Path, rows: Rows) -> None:
     metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
     if path.suffix == ".parquet":
         with _whole(path) as file:
-            pa.parquet.write_table(
-                table.replace_schema_metadata({_METADATA_KEY: metadata}), file, compression="zstd"
-            )
+            pa.parquet.write_table(table.replace_schema_metadata({_METADATA_KEY: metadata}), file, compression="zstd")
     elif path.suffix == ".csv":
         with _whole(path) as file:
             file.write(_CSV_METADATA + metadata + b"\n")
             pa.csv.write_csv(_plain_words(table), file)
     else:
-        raise DatasetError(path, "a table is written as .parquet or .csv")
+        raise OptionError(f"a table is written as .parquet or .csv, not {path.name!r}")
 
 
 def read_rows(path: Path) -> Rows:
@@ -133,55 +128,52 @@ def read_rows(path: Path) -> Rows:
     """
     try:
         table = _parquet(path) if head(path).startswith(_PARQUET_MAGIC) else _csv(path)
+        table.validate(full=True)  # a damaged file may hold codes of words that are not there
         return _rows(table, path)
-    except (pa.ArrowException, OSError) as error:
-        raise DatasetError(path, f"damaged table: {error}") from error
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        line = re.search(r"Row #(\d+): (.*)", str(error))  # as the csv reader says it
+        where, problem = (f"{path}, line {line[1]}", line[2]) if line else (path, str(error))
+        raise DatasetError(where, f"damaged table: {problem}") from error
 
 
 def _parquet(path: Path) -> pa.Table:
-    file = pa.parquet.ParquetFile(
-        pa.BufferReader(read_bytes(path, STREAM_LIMIT)), read_dictionary=list(_WORDS)
-    )
-    if file.metadata.num_rows > MOST_ROWS:
-        raise DatasetError(path, f"{file.metadata.num_rows} rows, at most {MOST_ROWS} are allowed")
+    file = pa.parquet.ParquetFile(pa.BufferReader(read_bytes(path)))
+    if file.metadata.num_rows > MOST_POINTS:
+        raise DatasetError(path, f"{file.metadata.num_rows} rows, at most {MOST_POINTS} are allowed")
     names = file.schema_arrow.names
-    return file.read(
-        columns=[name for name in (*_REQUIRED, "confidence", *_COVARIANCE, "label") if name in names]
-    )
+    return file.read(columns=[name for name in (*_REQUIRED, "confidence", *_COVARIANCE, "label") if name in names])
 
 
 def _csv(path: Path) -> pa.Table:
     text = read_bytes(path).removeprefix(b"\xef\xbb\xbf")
-    metadata = b""
-    if text.startswith(_CSV_METADATA):
-        first, _, text = text.partition(b"\n")
-        metadata = first.removeprefix(_CSV_METADATA)
+    described = text.startswith(_CSV_METADATA)
     numbers = ("stamp", *_POSITION, "confidence", *_COVARIANCE)
-    types = dict.fromkeys(numbers, pa.float64()) | dict.fromkeys(
-        _WORDS, pa.dictionary(pa.int32(), pa.string())
-    )
+    types = dict.fromkeys(numbers, pa.float64()) | dict.fromkeys(_WORDS, pa.dictionary(pa.int32(), pa.string()))
     table = pa.csv.read_csv(
         pa.BufferReader(text),
-        read_options=pa.csv.ReadOptions(use_threads=False),  # so that its messages name the row
+        # One thread, so that errors name the row.
+        read_options=pa.csv.ReadOptions(skip_rows=int(described), use_threads=False),
         parse_options=pa.csv.ParseOptions(newlines_in_values=True),
         convert_options=pa.csv.ConvertOptions(
             column_types=types, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False
         ),
     )
-    return table.replace_schema_metadata({_METADATA_KEY: metadata} if metadata else None)
+    if not described:
+        return table
+    metadata = text.partition(b"\n")[0].removeprefix(_CSV_METADATA)
+    return table.replace_schema_metadata({_METADATA_KEY: metadata})
 
 
 def _rows(table: pa.Table, path: Path) -> Rows:
-    """The table's columns as arrays, after a check that they are there."""
+    """The table's columns as arrays, after a check that each is there once."""
     missing = [name for name in _REQUIRED if name not in table.column_names]
     if missing:
         raise DatasetError(path, f"no column {', '.join(missing)}; a table has {', '.join(_REQUIRED)}")
-    if table.num_rows > MOST_ROWS:
-        raise DatasetError(path, f"{table.num_rows} rows, at most {MOST_ROWS} are allowed")
-    for name in (name for name in table.column_names if name in _WORDS):
-        kind = table.schema.field(name).type
-        if not pa.types.is_string(kind.value_type if pa.types.is_dictionary(kind) else kind):
-            raise DatasetError(path, f"column {name} holds {kind}, expected words")
+    repeated = {name for name in table.column_names if table.column_names.count(name) > 1}
+    if repeated:
+        raise DatasetError(path, f"two columns {min(repeated)!r}")
+    if table.num_rows > MOST_POINTS:
+        raise DatasetError(path, f"{table.num_rows} rows, at most {MOST_POINTS} are allowed")
     names = set(table.column_names)
     return Rows(
         stamp=_numbers(table, ("stamp",))[:, 0],
@@ -201,7 +193,9 @@ def _numbers(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray, "R C"
 
 
 def _words(column: pa.ChunkedArray) -> Words:
-    words = column.dictionary_encode().unify_dictionaries().combine_chunks()
+    """A column of strings, plain or encoded, or of numbers that stand for names."""
+    words = column if pa.types.is_dictionary(column.type) else column.cast(pa.string()).dictionary_encode()
+    words = words.unify_dictionaries().combine_chunks()
     if isinstance(words, pa.ChunkedArray):  # of no rows
         return Words((), np.empty(0, dtype=np.int32))
     return Words(tuple(words.dictionary.to_pylist()), words.indices.fill_null(-1).to_numpy().astype(np.int32))
@@ -209,9 +203,7 @@ def _words(column: pa.ChunkedArray) -> Words:
 
 def _array(words: Words) -> pa.DictionaryArray:
     missing = words.codes < 0
-    return pa.DictionaryArray.from_arrays(
-        pa.array(words.codes, mask=missing), pa.array(words.names, type=pa.string())
-    )
+    return pa.DictionaryArray.from_arrays(pa.array(words.codes, mask=missing), pa.array(words.names, type=pa.string()))
 
 
 def _plain_words(table: pa.Table) -> pa.Table:
@@ -235,15 +227,14 @@ def _metadata(table: pa.Table, path: Path) -> dict[str, Any] | None:
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[IO[bytes]]:
+def _whole(path: Path) -> Iterator[BufferedWriter]:
     """A new file beside `path` that takes its place when all is written, and goes when it is not."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            try:
-                yield file
-            except BaseException:
-                os.unlink(file.name)
-                raise
-        os.replace(file.name, path)
+        with partial.open("wb") as file:
+            yield file
+        partial.replace(path)
     except OSError as error:
         raise DatasetError(path, f"cannot be written: {error}") from error
+    finally:
+        partial.unlink(missing_ok=True)

@@ -68,8 +68,7 @@ def _objects(header: list[str], path: Path) -> list[str]:
     """Object names in column order, after a check of lines 3 to 5."""
     objects = re.findall(r"Global Angle ([^:,]+):", header[2])
     expected = {
-        3: ["", ""]
-        + [cell for name in objects for cell in (f"Global Angle {name}:{name}", "", "", "", "", "")],
+        3: ["", ""] + [cell for name in objects for cell in (f"Global Angle {name}:{name}", "", "", "", "", "")],
         4: ["Frame", "Sub Frame"] + _CELLS * len(objects),
         5: ["", ""] + _UNITS * len(objects),
     }
@@ -78,9 +77,7 @@ def _objects(header: list[str], path: Path) -> list[str]:
         # Tracker writes one comma too many after the names.
         if not objects or found[: len(cells)] != cells or any(found[len(cells) :]):
             wanted = ",".join(cells[:8]) if objects else ",,Global Angle <name>:<name>,"
-            raise DatasetError(
-                f"{path}, line {line}", f"header is {header[line - 1][:60]!r}, expected {wanted!r}, …"
-            )
+            raise DatasetError(f"{path}, line {line}", f"header is {header[line - 1][:60]!r}, expected {wanted!r}, …")
     return objects
 
 
@@ -89,8 +86,6 @@ def _stamps(frames: Float[np.ndarray, " N"], rate: float, path: Path) -> Float[n
     bad = ~np.isfinite(frames) | np.append(False, ~(np.diff(frames) > 0))
     if bad.any():
         row = int(np.argmax(bad))
-        raise DatasetError(
-            f"{path}, line {row + _FIRST_DATA_LINE}", f"frame number {frames[row]} does not increase"
-        )
+        raise DatasetError(f"{path}, line {row + _FIRST_DATA_LINE}", f"frame number {frames[row]} does not increase")
     stamps: Float[np.ndarray, " N"] = (frames - frames[0]) / rate
     return stamps

@@ -1,4 +1,4 @@
-"""How sure is a mean over windows? Its standard error by block bootstrap, since neighbouring windows are alike."""
+"""How sure a mean over windows is: block bootstrap, because neighbouring windows are alike."""
 
 from __future__ import annotations
 
@@ -78,9 +78,7 @@ def block_bootstrap(
     return Estimate(mean, float(means.std(ddof=1) * np.sqrt(groups / (groups - 1))))
 
 
-def _error_within(
-    rng: np.random.Generator, scores: Float[np.ndarray, " W"], block: int, repeats: int
-) -> float:
+def _error_within(rng: np.random.Generator, scores: Float[np.ndarray, " W"], block: int, repeats: int) -> float:
     """Standard deviation of the mean over circular blocks drawn from one recording."""
     known = ~np.isnan(scores)
     if np.count_nonzero(known) < 2:

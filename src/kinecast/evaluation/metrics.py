@@ -71,9 +71,7 @@ def joint_errors(
     return errors
 
 
-def crps(
-    samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"]
-) -> Float[np.ndarray, "T J 3"]:
+def crps(samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 3"]:
     """Continuous ranked probability score of every coordinate, E|X − y| − ½ E|X − X'|.
 
     The fair (unbiased) estimator: the second mean is over pairs of different samples, summed from the sorted
@@ -94,9 +92,7 @@ def crps(
     return score
 
 
-def energy_score(
-    samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"]
-) -> Float[np.ndarray, "T J"]:
+def energy_score(samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J"]:
     """Energy score of every joint's position, E‖X − y‖ − ½ E‖X − X'‖.
 
     Unbiased: the second mean is over nearly 16 S pairs of different samples (all pairs where S ≤ 17) instead
@@ -116,9 +112,7 @@ def energy_score(
     return score.reshape(truth.shape[:-1])
 
 
-def kde_nll(
-    samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"]
-) -> Float[np.ndarray, "T J"]:
+def kde_nll(samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J"]:
     """Negative log of a Gaussian kernel density estimate at the truth, per joint and step, at most 20.
 
     The estimate is scipy.stats.gaussian_kde with Scott's bandwidth: kernel covariance = n^(−2/7) Σ. Standard
@@ -194,9 +188,7 @@ def effective_sample_size(weights: Float[np.ndarray, "*batch S"]) -> Float[np.nd
     return np.asarray(np.sum(scaled, axis=-1) ** 2 / np.where(squares > 0, squares, 1.0))
 
 
-def is_moving(
-    observed: Float[np.ndarray, "N 6 3"], dt: float, truth: Float[np.ndarray, "T 6 3"] | None = None
-) -> bool:
+def is_moving(observed: Float[np.ndarray, "N 6 3"], dt: float, truth: Float[np.ndarray, "T 6 3"] | None = None) -> bool:
     """Whether a wrist's median speed over the window, from frame to frame, is above 0.3 m/s.
 
     The median, because noise, repeated frames and single jumps of the tracker would make the largest
@@ -216,9 +208,7 @@ def is_moving(
     return False
 
 
-Ellipsoids = tuple[
-    Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3 3"], Float[np.ndarray, " K"], Int[np.ndarray, " K"]
-]
+Ellipsoids = tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3 3"], Float[np.ndarray, " K"], Int[np.ndarray, " K"]]
 """Of each cell (step and joint): mean, whitening matrix, log det of covariance, number of samples."""
 
 
@@ -244,8 +234,8 @@ def _ellipsoids(cells: Float[np.ndarray, "K 3 S"]) -> Ellipsoids:
 # no_type_check: a test run that checks shapes must not wrap what numba compiles.
 
 
-@no_type_check
 @njit(cache=True, fastmath={"reassoc"})
+@no_type_check
 def _crps_sorted(ordered, truth):
     """(R,) CRPS of R rows of sorted samples; a row's NaN stand at its end."""
     score = np.empty(len(ordered))
@@ -265,8 +255,8 @@ def _crps_sorted(ordered, truth):
     return score
 
 
-@no_type_check
 @njit(cache=True, fastmath={"reassoc"})
+@no_type_check
 def _energy(cells, truth, shifts):
     """(K,) energy scores; sample i is paired with i + 1 … i + shifts."""
     score = np.empty(len(cells))
@@ -276,9 +266,7 @@ def _energy(cells, truth, shifts):
         distance = 0.0
         count = 0
         for i in range(samples):
-            away = np.sqrt(
-                (x[i] - truth[cell, 0]) ** 2 + (y[i] - truth[cell, 1]) ** 2 + (z[i] - truth[cell, 2]) ** 2
-            )
+            away = np.sqrt((x[i] - truth[cell, 0]) ** 2 + (y[i] - truth[cell, 1]) ** 2 + (z[i] - truth[cell, 2]) ** 2)
             distance += away if away == away else 0.0
             count += 1 if away == away else 0
         spread = 0.0
@@ -295,8 +283,8 @@ def _energy(cells, truth, shifts):
     return score
 
 
-@no_type_check
 @njit(cache=True, fastmath={"reassoc"})
+@no_type_check
 def _moments(cells):
     """(K, 3) means, (K, 3, 3) covariances and (K,) numbers of the samples that are there."""
     mean = np.zeros((len(cells), 3))
@@ -324,8 +312,8 @@ def _moments(cells):
     return mean, covariance, count
 
 
-@no_type_check
 @njit(cache=True, fastmath={"reassoc"})
+@no_type_check
 def _squared_distances(cells, point, whitening):
     """(K, S) squared Mahalanobis distances of each cell's samples from a point."""
     squared = np.zeros((len(cells), cells.shape[2]))

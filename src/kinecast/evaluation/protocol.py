@@ -102,17 +102,12 @@ def evaluate(
     observations = [observation for recording in recordings for observation in recording.observations]
     future = np.concatenate([recording.future for recording in recordings])
     moving = np.array([is_moving(o.positions, o.dt) for o in observations])
-    rows = np.unique(
-        np.linspace(0, len(observations) - 1, min(options.repeat_windows, len(observations))).astype(int)
-    )
+    rows = np.unique(np.linspace(0, len(observations) - 1, min(options.repeat_windows, len(observations))).astype(int))
     total = len(methods) * (len(observations) + options.repeats * len(rows))
     done = 0
 
     truth_broken = np.array(
-        [
-            _violations(truth[None], o, scene, options.limits)
-            for truth, o in zip(future, observations, strict=True)
-        ]
+        [_violations(truth[None], o, scene, options.limits) for truth, o in zip(future, observations, strict=True)]
     )
     results: dict[str, Any] = {}
     histograms: dict[str, Float[np.ndarray, " K"]] = {}
@@ -186,7 +181,7 @@ def _violations(
     hit = np.zeros_like(known)
     if scene is not None:
         hit = known & ~scene.free(positions, observation.times(positions.shape[1]))
-    count = max(np.count_nonzero(known), 1)
+    count = max(int(np.count_nonzero(known)), 1)
     return np.array([np.count_nonzero(broken & known) / count for broken in (position, speed, hit)])
 
 
@@ -225,8 +220,7 @@ def _summary(
         "energy_score_mm": _mean(1e3 * np.array(scores.energy)),
         "coverage": coverage(everything),
         "coverage_by_step": {
-            str(level): [_mean(inside[:, k, t]) for t in range(inside.shape[2])]
-            for k, level in enumerate(LEVELS)
+            str(level): [_mean(inside[:, k, t]) for t in range(inside.shape[2])] for k, level in enumerate(LEVELS)
         },
         "region_litres": {str(level): _mean(1e3 * volume[:, k]) for k, level in enumerate(LEVELS)},
         "violations": {"position": float(broken[0]), "speed": float(broken[1]), "scene": float(broken[2])},

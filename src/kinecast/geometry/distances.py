@@ -248,9 +248,7 @@ def arms_are_free(rows: np.ndarray, arms: np.ndarray, radius: float) -> np.ndarr
             row = to_fixed_tuple(rows[t, o], ROW)  # in registers, for all samples
             for s in range(samples):
                 if free[s, t]:
-                    free[s, t] = _arm_is_free(row, arms, s, t, 0, radius) and _arm_is_free(
-                        row, arms, s, t, 3, radius
-                    )
+                    free[s, t] = _arm_is_free(row, arms, s, t, 0, radius) and _arm_is_free(row, arms, s, t, 3, radius)
     return free
 
 

@@ -34,9 +34,7 @@ class ConstantVelocity:
             raise OptionError(f"since {self.since} s must be finite")
         object.__setattr__(self, "velocity", velocity)
 
-    def origins(
-        self, start: Float[np.ndarray, " 3"], times: Float[np.ndarray, " T"]
-    ) -> Float[np.ndarray, "T 3"]:
+    def origins(self, start: Float[np.ndarray, " 3"], times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
         """(T, 3) origins [m] at times [s]."""
         return start + self.velocity * (times - self.since)[:, None]
 

@@ -100,9 +100,7 @@ class Scene:
         result: Bool[np.ndarray, "S T"] = arms_are_free(self.rows(times), arms, float(limb_radius))
         return result
 
-    def clearance(
-        self, pose: Float[np.ndarray, "T 6 3"], times: Float[np.ndarray, " T"]
-    ) -> Float[np.ndarray, " T"]:
+    def clearance(self, pose: Float[np.ndarray, "T 6 3"], times: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
         """(T,) distance [m] from the nearest limb of one moving pose to the nearest obstacle, > 0 free.
 
         Args:

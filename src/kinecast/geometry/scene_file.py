@@ -52,9 +52,7 @@ def read_scene_text(path: Path) -> str:
         raise DatasetError(path, f"byte {error.start} is not UTF-8 text") from None
 
 
-def parse_scene(
-    text: str, where: object
-) -> tuple[tuple[Shape | MovingObstacle, ...], Mapping[str, Sphere | Box]]:
+def parse_scene(text: str, where: object) -> tuple[tuple[Shape | MovingObstacle, ...], Mapping[str, Sphere | Box]]:
     """Obstacles and goals of a scene file's text.
 
     Raises:
@@ -111,9 +109,7 @@ class _Entry:
         """The entries of a list; none if the key is absent."""
         items = self.values.get(key, [])
         if not isinstance(items, list):
-            raise self.error(
-                f"expected a list of entries, each starting with `- `, found {_short.repr(items)}", key
-            )
+            raise self.error(f"expected a list of entries, each starting with `- `, found {_short.repr(items)}", key)
         return [self.child(f"{key}[{i}]", item) for i, item in enumerate(items)]
 
     def named_children(self, key: str) -> dict[str, _Entry]:
@@ -135,9 +131,7 @@ class _Entry:
         value = self._value(key)
         if not isinstance(value, list) or len(value) != size:
             raise self.error(f"expected a list of {size} numbers {unit}, found {_short.repr(value)}", key)
-        return np.array(
-            [self._checked(f"{key}[{i}]", item, unit, MAXIMUM_VALUE) for i, item in enumerate(value)]
-        )
+        return np.array([self._checked(f"{key}[{i}]", item, unit, MAXIMUM_VALUE) for i, item in enumerate(value)])
 
     def _value(self, key: str) -> object:
         if key not in self.values:
@@ -212,9 +206,7 @@ def _moving(entry: _Entry, shape: Callable[[Float[np.ndarray, " 3"]], Shape]) ->
     if "waypoints" in entry.values:
         for key in ("center", "velocity"):
             if key in entry.values:
-                raise entry.error(
-                    f"`{key}` and `waypoints` exclude each other: the waypoints say where it is", key
-                )
+                raise entry.error(f"`{key}` and `waypoints` exclude each other: the waypoints say where it is", key)
         points = entry.children("waypoints")
         for point in points:
             point.only("time", "position")

@@ -121,9 +121,7 @@ class Box(Shape):
             raise OptionError(f"box size {size.tolist()} m: every length must be above 0")
         rotation = np.array(self.rotation, dtype=np.float64)
         if rotation.shape != (3, 3) or not np.allclose(rotation.T @ rotation, np.eye(3), atol=ORTHONORMAL):
-            raise OptionError(
-                "box rotation is not a rotation matrix: its columns must be orthogonal and of length 1"
-            )
+            raise OptionError("box rotation is not a rotation matrix: its columns must be orthogonal and of length 1")
         if np.linalg.det(rotation) < 0:
             raise OptionError("box rotation is a reflection: its determinant must be +1")
         _freeze(self, center=_vector("box center", self.center), size=size, rotation=rotation)

@@ -51,9 +51,7 @@ def inverse(T: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4
     return transform(rotation, -np.einsum("...ij,...j->...i", rotation, T[..., :3, 3]))
 
 
-def apply(
-    T: Float[np.ndarray, "*#batch 4 4"], points: Float[np.ndarray, "*#batch 3"]
-) -> Float[np.ndarray, "... 3"]:
+def apply(T: Float[np.ndarray, "*#batch 4 4"], points: Float[np.ndarray, "*#batch 3"]) -> Float[np.ndarray, "... 3"]:
     """p' = R p + t.
 
     Args:

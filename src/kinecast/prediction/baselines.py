@@ -28,7 +28,9 @@ __all__ = [
 Windows = Float[np.ndarray, "W N D"]
 Futures = Float[np.ndarray, "W T D"]
 
-TIME_CONSTANTS = np.array([0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.5, 5.0, 20.0])
+TIME_CONSTANTS = np.array(
+    [0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.5, 5.0, 20.0]
+)
 """Time constants tried for the damped velocity [s]."""
 
 RIDGES = 10.0 ** np.arange(-4.0, 5.0)
@@ -65,7 +67,10 @@ class WindowFilter:
 
 @dataclass(frozen=True)
 class LinearMap:
-    """mean = last + ((features − centre) / scale) · matrix, features = (window relative to its last frame, last frame)."""
+    """mean = last + ((features − centre) / scale) · matrix.
+
+    The features are the window relative to its last frame, then the last frame itself.
+    """
 
     centre: Float[np.ndarray, " F"]
     scale: Float[np.ndarray, " F"]
@@ -113,10 +118,11 @@ def _moving_on(velocity: Float[np.ndarray, " N"], reach: Float[np.ndarray, " T"]
     return WindowFilter(weights)
 
 
-def _two_frame_velocity(frames: int) -> Float[np.ndarray, " N"]:
+def _difference(frames: int, intervals: int) -> Float[np.ndarray, " N"]:
+    """Weights of the mean velocity over the last intervals, per frame."""
     velocity = np.zeros(frames)
-    velocity[-1], velocity[-2] = 1.0, -1.0
-    return velocity
+    velocity[-1], velocity[-1 - min(intervals, frames - 1)] = 1.0, -1.0
+    return velocity / min(intervals, frames - 1)
 
 
 def _fitted_velocity(frames: int, degree: int) -> Float[np.ndarray, " N"]:
@@ -126,18 +132,23 @@ def _fitted_velocity(frames: int, degree: int) -> Float[np.ndarray, " N"]:
 
 
 def constant_velocity(frames: int, steps: int) -> WindowFilter:
-    """The velocity between the last two frames goes on."""
-    return _moving_on(_two_frame_velocity(frames), np.arange(1.0, steps + 1))
+    """The velocity over the last two intervals goes on; over one alone it is mostly noise."""
+    return _moving_on(_difference(frames, 2), np.arange(1.0, steps + 1))
 
 
 def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilter:
     """x + v·τ(1 − exp(−t/τ)): velocity estimator and time constant τ both fitted on training data.
 
-    Estimators tried: the last two frames, the slope of a line and of a parabola over the window. The pair
+    Estimators tried: the last interval, the last two, the slope of a line and of a parabola over the window. The pair
     with the least mean point error is taken, so the baseline is as strong as it can be.
     """
     frames, steps = windows.shape[1], futures.shape[1]
-    estimators = [_two_frame_velocity(frames), _fitted_velocity(frames, 1), _fitted_velocity(frames, 2)]
+    estimators = [
+        _difference(frames, 1),
+        _difference(frames, 2),
+        _fitted_velocity(frames, 1),
+        _fitted_velocity(frames, 2),
+    ]
     best: tuple[float, WindowFilter] | None = None
     for velocity in estimators:
         for tau in TIME_CONSTANTS / dt:

@@ -94,9 +94,7 @@ def _solve(factor: Float[np.ndarray, "D D"], row: Float[np.ndarray, " D"]) -> Fl
     return np.asarray(solve_triangular(factor, row, lower=True, check_finite=False))
 
 
-def log_allowed(
-    allowance: Allowance | None, positions: Float[np.ndarray, "T 6 3"]
-) -> Float[np.ndarray, " T"] | float:
+def log_allowed(allowance: Allowance | None, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"] | float:
     """(T,) log [P(allowed | x) / P(allowed)]; 0 without constraints."""
     return 0.0 if allowance is None else allowance.log_given(positions) - allowance.log_total
 
@@ -131,21 +129,27 @@ class CoordinateGaussianDensity:
     def _log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
         nearby = postures_from_coordinates(self.mean)
         postures = postures_from_points(positions[:, None], nearby, continuous=False)[:, 0]
-        volume = block_volumes(postures)
-        inlier = gaussian_blocks(coordinates_from_postures(postures) - self.mean, self.cholesky) + volume
+        inlier = gaussian_blocks(coordinates_from_postures(postures) - self.mean, self.cholesky)
+        inlier -= block_log_det(postures)
+        # ∂(a, b)/∂(θ3, θ4) has determinant θ4.
+        inlier[:, 1:] += _log_magnitude(postures[:, [9, 15]])
         return combine(inlier, fault_log_prob(positions, self.points), log_allowed(self.allowance, positions))
 
 
-def block_volumes(postures: Float[np.ndarray, "T 18"]) -> Blocks:
-    """(T, 3) log |∂ coordinates / ∂ points| of each block: shoulders, left arm, right arm."""
-    tiny = 1e-12
-    shoulders = -2 * np.log(postures[:, 5]) - np.log(np.maximum(np.cos(postures[:, 4]), tiny))
-    arms = []
-    for start in (6, 12):
-        bend = np.abs(postures[:, start + 3])
-        # θ4 / sin θ4 tends to one at a straight elbow.
-        polar = np.log(np.maximum(bend, tiny)) - np.log(np.maximum(np.abs(np.sin(bend)), tiny))
-        swing = -np.log(np.maximum(np.abs(np.cos(postures[:, start + 1])), tiny))
-        bones = -2 * np.log(postures[:, start + 4]) - 2 * np.log(postures[:, start + 5])
-        arms.append(polar + swing + bones)
+def block_log_det(postures: Float[np.ndarray, "T 18"]) -> Blocks:
+    """(T, 3) log |∂ points / ∂ posture| of each block: shoulders, left arm, right arm.
+
+    Their sum is kinecast.body.posture.log_det_jacobian; sines and cosines are kept off zero.
+    """
+    shoulders = 2 * np.log(postures[:, 5]) + _log_magnitude(np.cos(postures[:, 4]))
+    arms = [
+        2 * np.log(postures[:, at + 4] * postures[:, at + 5])
+        + _log_magnitude(np.cos(postures[:, at + 1]))
+        + _log_magnitude(np.sin(postures[:, at + 3]))
+        for at in (6, 12)
+    ]
     return np.stack([shoulders, *arms], axis=1)
+
+
+def _log_magnitude(values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+    return np.log(np.maximum(np.abs(values), 1e-12))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -39,18 +39,24 @@ class Forecast:
         return self.distinct == 0
 
 
+@runtime_checkable
 class Method(Protocol):
-    """A trained predictor of both arms.
+    """A trained predictor of both arms."""
 
-    Attributes:
-        frames: N, length of the observation window.
-        steps: T, number of predicted steps.
-        dt: time between frames [s].
-    """
+    @property
+    def frames(self) -> int:
+        """N, length of the observation window."""
+        ...
 
-    frames: int
-    steps: int
-    dt: float
+    @property
+    def steps(self) -> int:
+        """T, number of predicted steps."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Time between frames [s]."""
+        ...
 
     def forecast(
         self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None

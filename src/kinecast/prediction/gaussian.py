@@ -42,7 +42,10 @@ POSITION_ORDER = np.arange(18).reshape(6, 3)[JOINT_ORDER].ravel()
 
 
 def residual_covariance(
-    fit: Fit, windows: Float[np.ndarray, "W N D"], futures: Float[np.ndarray, "W T D"], folds: Int[np.ndarray, " W"]
+    fit: Fit,
+    windows: Float[np.ndarray, "W N D"],
+    futures: Float[np.ndarray, "W T D"],
+    folds: Int[np.ndarray, " W"],
 ) -> Float[np.ndarray, "TD TD"]:
     """Second moment of the errors on left-out folds, over all steps and coordinates at once."""
     errors = []
@@ -55,9 +58,7 @@ def residual_covariance(
     return stacked.T @ stacked / len(stacked) + FLOOR**2 * np.eye(stacked.shape[1])
 
 
-def with_noise(
-    cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"]
-) -> Float[np.ndarray, "K K"]:
+def with_noise(cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"]) -> Float[np.ndarray, "K K"]:
     """Factor of the covariance once the last frame's error, the same at every step, is added.
 
     Args:
@@ -73,14 +74,14 @@ def with_noise(
 
 def posture_bounds(
     limits: JointLimits | None,
-) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"], Float[np.ndarray, "18"], float]:
+) -> tuple[Float[np.ndarray, 18], Float[np.ndarray, 18], Float[np.ndarray, 18], float]:
     """Lower, upper [rad], speed [rad/s] of a posture and the wrist's speed [m/s]; infinite without limits."""
     if limits is None:
         return np.full(18, -np.inf), np.full(18, np.inf), np.full(18, np.inf), np.inf
     return *limits.of_posture(), np.inf if limits.wrist_speed is None else limits.wrist_speed
 
 
-def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, "18"]) -> Float[np.ndarray, "T 18 18"]:
+def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, 18]) -> Float[np.ndarray, "T 18 18"]:
     """Cholesky factor of each step's marginal covariance, coordinates reordered."""
     rows = cholesky.reshape(-1, 18, cholesky.shape[1])[:, order]
     return np.linalg.cholesky(rows @ rows.transpose(0, 2, 1))
@@ -181,7 +182,13 @@ class PostureGaussian:
         covariance = residual_covariance(fit, observed, future, folds)
         model = fit(observed, future, folds)
         return PostureGaussian(
-            observed.shape[1], future.shape[1], windows.dt, model, np.linalg.cholesky(covariance), noise, limits
+            observed.shape[1],
+            future.shape[1],
+            windows.dt,
+            model,
+            np.linalg.cholesky(covariance),
+            noise,
+            limits,
         )
 
     @cached_property
@@ -200,9 +207,7 @@ class PostureGaussian:
             step_cholesky = _step_factors(cholesky, np.arange(18))
         normals = rng.standard_normal((samples, len(cholesky)))
         uniforms = rng.random((samples, self.steps, 8))
-        postures = roll_gaussian(
-            mean, cholesky, track[-1], normals, uniforms, *posture_bounds(self.limits), self.dt
-        )
+        postures = roll_gaussian(mean, cholesky, track[-1], normals, uniforms, *posture_bounds(self.limits), self.dt)
         points = points_from_postures(postures)
         centre = points_from_postures(postures_from_coordinates(mean))
         allowance = None
@@ -231,7 +236,12 @@ class PostureGaussian:
 
     @staticmethod
     def from_arrays(
-        arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float, noise: float, limits: JointLimits | None
+        arrays: Mapping[str, np.ndarray],
+        frames: int,
+        steps: int,
+        dt: float,
+        noise: float,
+        limits: JointLimits | None,
     ) -> PostureGaussian:
         """The method that `to_arrays` described."""
         cholesky = np.asarray(arrays["cholesky"], float)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from kinecast.body.limits import JointLimits
+from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.baselines import constant_velocity, damped_velocity, fit_ridge, kalman, zero_velocity
 from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
@@ -19,7 +20,17 @@ from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
 
-__all__ = ["METHODS", "TrainingOptions", "read_method", "save_method", "train"]
+__all__ = [
+    "METHODS",
+    "TrainingOptions",
+    "card_of",
+    "check_names",
+    "limits_of",
+    "read_method",
+    "save_method",
+    "shipped_methods",
+    "train",
+]
 
 METHODS: Mapping[str, str] = {
     "zero_velocity": "nothing moves",
@@ -37,6 +48,9 @@ METHODS: Mapping[str, str] = {
 }
 """Every method and what it does."""
 
+SHIPPED = ("zero_velocity", "damped_velocity", "gp_constrained")
+"""Methods whose models come with kinecast, the best last."""
+
 Progress = Callable[[int, int], None]
 
 
@@ -45,7 +59,8 @@ class TrainingOptions:
     """How methods are trained.
 
     Attributes:
-        limits: range and speed of the arm's angles.
+        limits: range and speed of the arm's angles; ranges are widened to hold the training postures, since markers
+            are not always at the joints.
         seed: of everything random.
         pseudo_inputs: M of each sparse GP.
         points: most windows a sparse GP is trained on.
@@ -78,6 +93,7 @@ def train(
     if len(windows) < 50:
         raise ModelError(f"{len(windows)} training windows; at least 50 are needed")
     noise = sensor_noise(windows)
+    limits = limits_of(windows, options)
     trained: dict[str, Method] = {}
     angles: PostureSeries | None = None
     for name in names:
@@ -85,16 +101,46 @@ def train(
             trained[name] = PositionSeries.fit(windows, options, progress)
         elif name in ("gp_angles", "gp_constrained"):
             angles = angles or PostureSeries.fit(windows, options, noise, progress)
-            trained[name] = angles.with_limits(options.limits if name == "gp_constrained" else None)
+            trained[name] = angles.with_limits(limits if name == "gp_constrained" else None)
         else:
             base, _, space = name.partition("_") if name.endswith(("_angles", "_constrained")) else (name, "", "")
             fit = _fit(base, windows)
             if space:
-                limits = options.limits if space == "constrained" else None
-                trained[name] = PostureGaussian.fit(fit, windows, noise, limits)
+                held = limits if space == "constrained" else None
+                trained[name] = PostureGaussian.fit(fit, windows, noise, held)
             else:
                 trained[name] = PositionGaussian.fit(fit, windows)
     return trained
+
+
+def limits_of(windows: TrainingWindows, options: TrainingOptions) -> JointLimits:
+    """The options' limits, their ranges widened to hold the postures trained on."""
+    return options.limits.widened(postures_from_points(windows.points, continuous=True)[:, -1])
+
+
+def card_of(
+    name: str,
+    method: Method,
+    windows: TrainingWindows,
+    options: TrainingOptions,
+    label: str,
+    trained_on: Sequence[str],
+    notes: Sequence[str] = (),
+) -> ModelCard:
+    """The card of a method just trained."""
+    return ModelCard(
+        method=name,
+        frames=method.frames,
+        steps=method.steps,
+        rate=1.0 / method.dt,
+        limits=limits_of(windows, options),
+        noise=sensor_noise(windows),
+        trained_on=tuple(trained_on),
+        windows=len(windows),
+        label=label,
+        seed=options.seed,
+        notes=tuple(notes),
+    )
 
 
 def check_names(names: Sequence[str]) -> None:
@@ -147,3 +193,13 @@ def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method:
     if card.method.endswith(("_angles", "_constrained")):
         return PostureGaussian.from_arrays(arrays, *shape, card.noise, limits)
     return PositionGaussian.from_arrays(arrays, *shape)
+
+
+def shipped_methods() -> tuple[ModelCard, dict[str, Method]]:
+    """The models that come with kinecast, the best last, and the best one's card."""
+    folder = resources.files("kinecast") / "data" / "models"
+    methods = {}
+    for name in SHIPPED:
+        with resources.as_file(folder / f"{name}.npz") as path:
+            card, methods[name] = read_method(path)
+    return card, methods

@@ -56,28 +56,31 @@ def log_ndtr(x: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def log_survival(c: float, t: float) -> float:
-    """log S(c, t) = log Φ(−c − t) − log Φ(−c) for c, t ≥ 0, relative error below 1e-11 for any t.
+    """log S(c, t) = log Φ(−c − t) − log Φ(−c) for c, t ≥ 0, relative error below 1e-11 for any t."""
+    if t == math.inf:
+        return -math.inf
+    return _log_survival(c, t, mills_ratio(c), mills_ratio(c + t))
+
+
+@njit(cache=True, error_model="numpy")
+def _log_survival(c: float, t: float, mills: float, mills_beyond: float) -> float:
+    """log S(c, t) given M(c) and M(c + t).
 
     For a short step its Taylor series −h t − h′ t²/2 − h″ t³/6, with the hazard h = 1 / M(c), h′ = h (h − c).
     """
-    if t == math.inf:
-        return -math.inf
-    mills = mills_ratio(c)
-    if t < SHORT_STEP:
-        hazard = 1.0 / mills
-        slope = min(
-            max(hazard * (hazard - c), 0.5), 1.0
-        )  # of the hazard; its range, where c drowns hazard − c
-        bend = (hazard - c) * slope + hazard * (slope - 1.0) if c < 1e3 else 0.0
-        return -t * (hazard + t * (slope / 2.0 + t * bend / 6.0))
-    return math.log(mills_ratio(c + t) / mills) - t * (c + 0.5 * t)
+    if t >= SHORT_STEP:
+        return math.log(mills_beyond / mills) - t * (c + 0.5 * t)
+    hazard = 1.0 / mills
+    slope = min(max(hazard * (hazard - c), 0.5), 1.0)  # of the hazard; its range, where c drowns hazard − c
+    bend = (hazard - c) * slope + hazard * (slope - 1.0) if c < 1e3 else 0.0
+    return -t * (hazard + t * (slope / 2.0 + t * bend / 6.0))
 
 
 @njit(cache=True, error_model="numpy")
 def tail_offset(c: float, loss: float) -> float:
     """The step t ≥ 0 into the tail beyond c with log S(c, t) = −loss.
 
-    Halley's method from the root of c t + t²/2 ≈ loss; log S is concave in t, so it converges from anywhere.
+    Halley's method from the root of h t + h′ t²/2 ≈ loss; log S is concave in t, so it converges from anywhere.
 
     Args:
         c: where the tail begins, c ≥ 0 [sd].
@@ -87,15 +90,16 @@ def tail_offset(c: float, loss: float) -> float:
         return 0.0
     if loss == math.inf:
         return math.inf
-    hazard = 1.0 / mills_ratio(c)
-    t = 2.0 * loss / (hazard + math.sqrt(hazard * hazard + 2.0 * loss))
+    mills = mills_ratio(c)
+    hazard = 1.0 / mills
+    slope = min(max(hazard * (hazard - c), 0.5), 1.0)
+    t = 2.0 * loss / (hazard + math.sqrt(hazard * hazard + 2.0 * slope * loss))
     for _ in range(MAX_ITERATIONS):
-        excess = log_survival(c, t) + loss
-        hazard = 1.0 / mills_ratio(c + t)
-        newton = excess / hazard
-        step = newton / (1.0 + 0.5 * newton * (hazard - c - t))
+        mills_beyond = mills_ratio(c + t)
+        newton = (_log_survival(c, t, mills, mills_beyond) + loss) * mills_beyond
+        step = newton / (1.0 + 0.5 * newton * (1.0 / mills_beyond - c - t))
         t += step
-        if not abs(step) > 1e-5 * t:  # the next step would be the cube of this one
+        if not abs(step) > 1e-4 * t:  # the next step is less than the cube of this one
             break
     return t
 

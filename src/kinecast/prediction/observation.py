@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.geometry.scene import Scene
 
 __all__ = ["Observation", "TrainingWindows", "reference_frame"]
 
@@ -53,17 +54,17 @@ class Observation:
     """
 
     positions: Float[np.ndarray, "N 6 3"]
-    up: Float[np.ndarray, "3"]
+    up: Float[np.ndarray, 3]
     dt: float
     stamp: float = 0.0
-    noise: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
+    noise: Float[np.ndarray, 6] = field(default_factory=lambda: np.zeros(6))
 
     def times(self, steps: int) -> Float[np.ndarray, " T"]:
         """(T,) the predicted instants [s]."""
         return self.stamp + self.dt * np.arange(1, steps + 1)
 
     @cached_property
-    def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, 3]]:
         """Rotation R_world_torso and origin [m] of the last frame's torso."""
         return reference_frame(self.positions[-1], self.up)
 
@@ -117,6 +118,11 @@ class TrainingWindows:
     def take(self, rows: Int[np.ndarray, " K"]) -> TrainingWindows:
         """Some of the windows."""
         return TrainingWindows(self.observed[rows], self.future[rows], self.up[rows], self.recording[rows], self.dt)
+
+    def outside(self, scene: Scene) -> TrainingWindows:
+        """Only the windows that end with both arms free of obstacles."""
+        free = scene.free(self.observed[:, -1:], np.zeros(1))[:, 0]
+        return self.take(np.flatnonzero(free))
 
     def folds(self, count: int) -> Int[np.ndarray, " W"]:
         """(W,) fold of each window: whole recordings where there are enough, else contiguous blocks of time."""

@@ -14,7 +14,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.forecast import Forecast, Method
-from kinecast.prediction.methods import read_method
+from kinecast.prediction.methods import read_method, shipped_methods
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.track import Track
 from kinecast.types import Density, Prediction, SkeletonFrame, Status
@@ -80,9 +80,7 @@ class Predictor:
         self._warm_up()
 
     @classmethod
-    def load(
-        cls, model: str | Path, scene: Scene | None = None, options: PredictorOptions | None = None
-    ) -> Predictor:
+    def load(cls, model: str | Path, scene: Scene | None = None, options: PredictorOptions | None = None) -> Predictor:
         """A predictor from a model file.
 
         Raises:
@@ -91,9 +89,24 @@ class Predictor:
         card, method = read_method(Path(model))
         return cls(method, card.noise, scene, options)
 
+    @classmethod
+    def shipped(cls, scene: Scene | None = None, options: PredictorOptions | None = None) -> Predictor:
+        """A predictor with the best model that comes with kinecast."""
+        card, methods = shipped_methods()
+        return cls(methods[card.method], card.noise, scene, options)
+
     def _warm_up(self) -> None:
         """Runs once on a resting figure, so that the first frame is as fast as the thousandth."""
-        rest = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
+        rest = np.array(
+            [
+                [0, 0.2, 1.4],
+                [0, 0.25, 1.1],
+                [0.2, 0.2, 1.0],
+                [0, -0.2, 1.4],
+                [0, -0.25, 1.1],
+                [0.2, -0.2, 1.0],
+            ]
+        )
         positions = np.repeat(rest[None], self.method.frames, axis=0)
         observation = Observation(positions, np.array([0.0, 0.0, 1.0]), self.method.dt)
         self.method.forecast(observation, np.random.default_rng(0), self.options.samples, self.scene)
@@ -200,7 +213,11 @@ class Predictor:
             joints=ARM_JOINTS,
             person=person,
             status=status,
-            diagnostics={"accepted_fraction": 1.0, "effective_sample_size": float(self.options.samples), "delay": 0.0},
+            diagnostics={
+                "accepted_fraction": 1.0,
+                "effective_sample_size": float(self.options.samples),
+                "delay": 0.0,
+            },
         )
 
 

@@ -7,6 +7,7 @@ steps and coordinates, `roll_series` (the paper's) from independent one-step Gau
 from __future__ import annotations
 
 import math
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -14,15 +15,24 @@ from numba import njit, prange
 
 from kinecast.body.arm_angles import nearest_turn
 from kinecast.body.limits import bounds, speeds_within_wrist_speed
+from kinecast.prediction.series import SeriesStack, next_value
 from kinecast.prediction.truncated_normal import keep_or_redraw, sample
 
-__all__ = ["polar", "roll_gaussian"]
+__all__ = ["RELATIVE", "SERIES", "polar", "roll_gaussian", "roll_positions", "roll_series"]
+
+SERIES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 13, 14, 15)
+"""Posture coordinates with a process of their own: all but the bones."""
+RELATIVE = 5
+"""Coordinates below this, the torso's pose, are predicted relative to their last value."""
+SHORTEST = 0.05
+"""No bone and no shoulder width is drawn shorter [m]."""
 
 INNOVATION = 6.0
 """A draw forced by bounds moves what follows by at most this many standard deviations."""
 
 
 @njit(cache=True, fastmath=True)
+@no_type_check
 def _dot(a: Float[np.ndarray, " K"], b: Float[np.ndarray, " K"], count: int) -> float:
     total = 0.0
     for k in range(count):
@@ -31,9 +41,8 @@ def _dot(a: Float[np.ndarray, " K"], b: Float[np.ndarray, " K"], count: int) -> 
 
 
 @njit(cache=True)
-def polar(
-    a: float, b: float, sd_a: float, sd_b: float, previous: float
-) -> tuple[float, float, float, float]:
+@no_type_check
+def polar(a: float, b: float, sd_a: float, sd_b: float, previous: float) -> tuple[float, float, float, float]:
     """Mean and spread of (θ3, θ4) from those of the smooth pair (a, b) = (θ4 cos θ3, θ4 sin θ3).
 
     First order away from a straight elbow; at one, θ3's spread grows until it is all but uniform.
@@ -49,15 +58,16 @@ def polar(
 
 
 @njit(cache=True, parallel=True)
+@no_type_check
 def roll_gaussian(
     mean: Float[np.ndarray, "T 18"],
     cholesky: Float[np.ndarray, "K K"],
-    initial: Float[np.ndarray, "18"],
+    initial: Float[np.ndarray, 18],
     normals: Float[np.ndarray, "S K"],
     uniforms: Float[np.ndarray, "S T 8"],
-    lower: Float[np.ndarray, "18"],
-    upper: Float[np.ndarray, "18"],
-    speed: Float[np.ndarray, "18"],
+    lower: Float[np.ndarray, 18],
+    upper: Float[np.ndarray, 18],
+    speed: Float[np.ndarray, 18],
     wrist_speed: float,
     dt: float,
 ) -> Float[np.ndarray, "S T 18"]:
@@ -124,8 +134,137 @@ def roll_gaussian(
                     before[d], before[d + 1] = swing, bend
                 # part == 3 was drawn with part 2.
             # Bones and widths keep a sane length whatever was drawn.
-            before[5] = max(before[5], 0.05)
+            before[5] = max(before[5], SHORTEST)
             for d in (10, 11, 16, 17):
-                before[d] = max(before[d], 0.05)
+                before[d] = max(before[d], SHORTEST)
             postures[s, t] = before
     return postures
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def roll_series(
+    window: Float[np.ndarray, "N 18"],
+    offsets: Float[np.ndarray, "S 18"],
+    stack: SeriesStack,
+    length_spread: Float[np.ndarray, "T 4"],
+    initial: Float[np.ndarray, 18],
+    normals: Float[np.ndarray, "S T 18"],
+    uniforms: Float[np.ndarray, "S T 8"],
+    lower: Float[np.ndarray, 18],
+    upper: Float[np.ndarray, 18],
+    speed: Float[np.ndarray, 18],
+    wrist_speed: float,
+    dt: float,
+) -> tuple[Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"]]:
+    """Algorithm 1: each series' next value from its own last N, by its own Gaussian process, sample by sample.
+
+    θ1, θ2 are drawn from Eq. 2 as they are. θ3, θ4 come from the processes of the smooth pair (a, b), whose mean
+    and spread are carried to the angles (`polar`); they too are truncated normals. Bones keep their last length to
+    within what they varied by in training.
+
+    Args:
+        window: (N, 18) observed smooth coordinates.
+        offsets: (S, 18) error of the window in each sample, where the camera states more noise than in training.
+        stack: the Gaussian processes (kinecast.prediction.series).
+        length_spread: (T, 4) spread of the four bones' lengths about their last ones [m].
+        initial: (18,) last observed posture.
+        normals: (S, T, 18) standard normal draws.
+        uniforms: (S, T, 8) uniform draws for redrawing θ1..θ4, left then right.
+        lower, upper: (18,) range of a posture [rad]; infinite where unconstrained.
+        speed: (18,) greatest speeds [rad/s]; infinite where unconstrained.
+        wrist_speed: greatest speed of a wrist relative to the torso [m/s]; infinite for none.
+        dt: time step [s].
+
+    Returns:
+        (S, T, 18) postures, and (S, T, 18) mean and (S, T, 18) spread of the normal behind each number.
+    """
+    frames = window.shape[0]
+    draws, steps = normals.shape[:2]
+    postures = np.empty((draws, steps, 18))
+    means = np.empty((draws, steps, 18))
+    spreads = np.empty((draws, steps, 18))
+    for s in prange(draws):
+        past = window + offsets[s]
+        before = initial.copy()
+        ceiling = np.empty(18)
+        now = np.empty(18)
+        values = np.empty(frames)
+        kernel = np.empty(stack.pseudo.shape[2])
+        for t in range(steps):
+            speeds_within_wrist_speed(before, speed, wrist_speed, ceiling)
+            mean, spread = means[s, t], spreads[s, t]
+            for series in range(len(SERIES)):
+                d = SERIES[series]
+                last = past[frames - 1, d] if d < RELATIVE else 0.0
+                for n in range(frames):
+                    values[n] = past[n, d] - last
+                mean[d], spread[d] = next_value(values, series, stack, kernel)
+                mean[d] += last
+            for d in range(6):
+                before[d] = mean[d] + spread[d] * normals[s, t, d]
+            before[5] = max(before[5], SHORTEST)
+            for arm in range(2):
+                at = 6 + 6 * arm
+                m3, sd3, m4, sd4 = polar(mean[at + 2], mean[at + 3], spread[at + 2], spread[at + 3], before[at + 2])
+                mean[at + 2], spread[at + 2], mean[at + 3], spread[at + 3] = m3, sd3, m4, sd4
+                for part in range(4):
+                    d = at + part
+                    lb, ub = bounds(lower[d], upper[d], ceiling[d], before[d], dt)
+                    draw = mean[d] + spread[d] * normals[s, t, d]
+                    before[d] = keep_or_redraw(draw, uniforms[s, t, 4 * arm + part], mean[d], spread[d], lb, ub)
+                for bone in range(2):
+                    d = at + 4 + bone
+                    mean[d], spread[d] = initial[d], length_spread[t, 2 * arm + bone]
+                    # One error for all steps: a bone's length does not flicker.
+                    before[d] = max(mean[d] + spread[d] * normals[s, 0, d], SHORTEST)
+            postures[s, t] = before
+            now[:] = before
+            for at in (8, 14):
+                now[at], now[at + 1] = (
+                    before[at + 1] * math.cos(before[at]),
+                    before[at + 1] * math.sin(before[at]),
+                )
+            for n in range(frames - 1):
+                past[n] = past[n + 1]
+            past[frames - 1] = now
+    return postures, means, spreads
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def roll_positions(
+    window: Float[np.ndarray, "N 18"],
+    offsets: Float[np.ndarray, "S 18"],
+    stack: SeriesStack,
+    normals: Float[np.ndarray, "S T 18"],
+) -> tuple[Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"]]:
+    """Each coordinate's next value from its own last N, sample by sample, without any constraint.
+
+    Args:
+        window: (N, 18) observed coordinates [m].
+        offsets: (S, 18) error of the window in each sample [m].
+        stack: one process per coordinate.
+        normals: (S, T, 18) standard normal draws.
+
+    Returns:
+        (S, T, 18) coordinates, and (S, T, 18) mean and (S, T, 18) spread of the normal behind each [m].
+    """
+    frames = window.shape[0]
+    draws, steps = normals.shape[:2]
+    positions = np.empty((draws, steps, 18))
+    means = np.empty((draws, steps, 18))
+    spreads = np.empty((draws, steps, 18))
+    for s in prange(draws):
+        kernel = np.empty(stack.pseudo.shape[2])
+        values = np.empty(frames)
+        for d in range(18):
+            values[:] = window[:, d] + offsets[s, d]
+            for t in range(steps):
+                mean, spread = next_value(values, d, stack, kernel)
+                value = mean + spread * normals[s, t, d]
+                for n in range(frames - 1):
+                    values[n] = values[n + 1]
+                values[frames - 1] = value
+                positions[s, t, d], means[s, t, d], spreads[s, t, d] = value, mean, spread
+    return positions, means, spreads

@@ -43,7 +43,7 @@ class Track:
     arms: deque[Float[np.ndarray, "6 3"]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     source: UpSource | None = None
     lean: float = 0.0
-    std: Float[np.ndarray, "6"] | None = None
+    std: Float[np.ndarray, 6] | None = None
 
     @property
     def span(self) -> float:
@@ -98,9 +98,10 @@ class Track:
             return None, Status.OCCLUDED
         grid = stamps[-1] - self.dt * np.arange(self.frames - 1, -1, -1)
         positions = _interpolate(repair.positions, stamps[first:], grid)
-        shoulders = torso_frame(ARM_JOINTS, positions[-1], UpSource.WORLD, self.lean)
+        upright = torso_frame(ARM_JOINTS, positions[-1], UpSource.WORLD).T_world_torso
+        up = np.cos(self.lean) * upright[:3, 2] + np.sin(self.lean) * upright[:3, 0]
         excess = np.zeros(6) if self.std is None else np.sqrt(np.maximum(self.std**2 - noise**2, 0.0))
-        observation = Observation(positions, shoulders.T_world_torso[:3, 2], self.dt, float(stamps[-1]), excess)
+        observation = Observation(positions, up, self.dt, float(stamps[-1]), excess)
         return observation, self._status(positions[-1], trouble, float(np.diff(stamps[first:]).max()))
 
     def _status(self, last: Float[np.ndarray, "6 3"], trouble: Trouble, longest: float) -> Status:
@@ -126,7 +127,7 @@ def _arms(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
     return arms
 
 
-def _std(frame: SkeletonFrame) -> Float[np.ndarray, "6"]:
+def _std(frame: SkeletonFrame) -> Float[np.ndarray, 6]:
     """What the frame says of its noise per arm joint [m]; 0 where it says nothing sensible."""
     assert frame.std is not None
     std = np.zeros(6)

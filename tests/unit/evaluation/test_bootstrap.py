@@ -35,7 +35,7 @@ def test_independent_windows() -> None:
 
 
 def test_windows_that_remember_need_blocks() -> None:
-    """An autoregression's mean has standard error 1 / ((1 − memory) √n): three times what single windows tell."""
+    """An autoregression has standard error 1 / ((1 − memory) √n): three times what single windows tell."""
     rng = np.random.default_rng(2)
     exact = 1 / (0.2 * np.sqrt(3000))
     series = [autoregression(rng, 3000, 0.8) for _ in range(30)]

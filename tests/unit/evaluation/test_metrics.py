@@ -32,9 +32,7 @@ def correlated(rng: np.random.Generator, count: int, steps: int = 4) -> tuple[np
     return draws[:-1], draws[-1]
 
 
-def isotropic(
-    rng: np.random.Generator, count: int, windows: int, sigma: float
-) -> tuple[np.ndarray, np.ndarray]:
+def isotropic(rng: np.random.Generator, count: int, windows: int, sigma: float) -> tuple[np.ndarray, np.ndarray]:
     """(S, W, 6, 3) samples and (W, 6, 3) truths of independent N(0, sigma²)."""
     draws = sigma * rng.standard_normal((count + 1, windows, 6, 3))
     return draws[:-1], draws[-1]
@@ -89,9 +87,7 @@ def test_energy_score_agrees_with_all_pairs(
     difference = (some - every).ravel()
     assert 0 < difference.std() < 0.001
     assert abs(difference.mean()) < 4 * difference.std() / np.sqrt(difference.size)
-    expected = scoringrules.es_ensemble(
-        truth, samples, m_axis=0, v_axis=-1, estimator="fair", backend="numpy"
-    )
+    expected = scoringrules.es_ensemble(truth, samples, m_axis=0, v_axis=-1, estimator="fair", backend="numpy")
     np.testing.assert_allclose(every, expected, rtol=1e-9)
 
 

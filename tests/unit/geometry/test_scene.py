@@ -43,10 +43,10 @@ def test_free_agrees_with_the_distance_of_every_limb(radius: float) -> None:
         Box(np.array([0.3, 0.1, 1.1]), np.array([0.1, 0.2, 0.3]), TURNED),
         Sphere(np.array([0.2, -0.2, 1.2]), 0.05),
         Capsule(np.array([0.3, -0.5, 1.0]), np.array([0.2, 0.5, 1.3]), 0.03),
-        HalfSpace(np.array([0.45, 0.0, 0.0]), np.array([-1.0, 0.1, 0.2])),
+        HalfSpace(np.array([0.45, 0.0, 1.0]), np.array([-1.0, 0.1, 0.2])),
     )  # fmt: skip
     times = np.linspace(0.0, 0.5, 5)
-    arms = arms_around_the_table(400, 5)
+    arms = arms_around_the_table(400, 5) - np.array([0.0, 0.0, 0.1])
     start, end = LIMBS.T
     for obstacle in obstacles:
         clearance = obstacle.segment_distance(arms[..., start, :], arms[..., end, :]).min(axis=-1)
@@ -73,9 +73,7 @@ def test_an_obstacle_is_met_where_it_is_at_each_time() -> None:
     times = 10.0 + np.array([0.0, 0.5, 1.0, 1.4, 2.0])
     arms = np.broadcast_to(POSE, (1, 5, 6, 3))
     free = Scene((moving,)).free(arms, times)[0]
-    np.testing.assert_array_equal(
-        free, [True, True, False, False, True]
-    )  # left wrist, right wrist, then past
+    np.testing.assert_array_equal(free, [True, True, False, False, True])  # left wrist, right wrist, then past
     wrist = Scene((moving,)).signed_distance(np.ascontiguousarray(arms[:, :, 2:3]), times)[0, :, 0]
     np.testing.assert_allclose(wrist, [0.9, 0.4, -0.1, 0.3, 0.9], atol=1e-12)
 
@@ -117,8 +115,6 @@ def test_an_impossible_limb_radius_is_refused(radius: float) -> None:
         ([], np.empty((0, 3)), "positions for"),
     ],
 )
-def test_impossible_waypoints_are_refused(
-    times: list[float], positions: list[list[float]], message: str
-) -> None:
+def test_impossible_waypoints_are_refused(times: list[float], positions: list[list[float]], message: str) -> None:
     with pytest.raises(OptionError, match=message):
         Waypoints(np.array(times, dtype=float), np.array(positions))

@@ -21,9 +21,7 @@ def test_the_shipped_example_holds_every_kind_of_entry() -> None:
     assert kinds == [Box, HalfSpace, Box, Box, Box, Sphere, Capsule]
     assert {name: type(goal) for name, goal in scene.goals.items()} == {"red_cube": Sphere, "tray": Box}
     above_and_below = np.array([[[0.5, 0.0, 0.95], [0.5, 0.0, 0.85]]])
-    np.testing.assert_allclose(
-        scene.signed_distance(above_and_below, np.zeros(1)), [[0.05, 0.01]], atol=1e-12
-    )
+    np.testing.assert_allclose(scene.signed_distance(above_and_below, np.zeros(1)), [[0.05, 0.01]], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -49,8 +47,7 @@ def test_entries(text: str, point: list[float], distance: float) -> None:
     "motion",
     [
         "boxes: [{center: [0, 0, 0], size: [1, 1, 1], velocity: [0, 0.5, 0]}]",
-        "boxes: [{size: [1, 1, 1], waypoints: [{time: 0, position: [0, 0, 0]},"
-        " {time: 4, position: [0, 2, 0]}]}]",
+        "boxes: [{size: [1, 1, 1], waypoints: [{time: 0, position: [0, 0, 0]}, {time: 4, position: [0, 2, 0]}]}]",
     ],
 )
 def test_boxes_move(motion: str) -> None:
@@ -89,8 +86,7 @@ def test_boxes_move(motion: str) -> None:
         ),
         ("boxes: [{size: [1, 1, 1], waypoints: []}]", r"boxes\[0\]: waypoints"),
         (
-            "boxes: [{size: [1, 1, 1], waypoints: [{time: 1, position: [0, 0, 0]},"
-            " {time: 0, position: [0, 0, 0]}]}]",
+            "boxes: [{size: [1, 1, 1], waypoints: [{time: 1, position: [0, 0, 0]}, {time: 0, position: [0, 0, 0]}]}]",
             r"boxes\[0\]: waypoints: times must increase",
         ),
         (

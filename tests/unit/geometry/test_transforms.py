@@ -45,9 +45,7 @@ def test_a_quarter_turn_follows_the_right_hand_rule(turn, before, after) -> None
 def test_quaternions_are_wxyz() -> None:
     quarter_about_z = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
     np.testing.assert_allclose(tf.from_quaternion(quarter_about_z), tf.rotation_z(np.pi / 2), atol=1e-15)
-    np.testing.assert_allclose(
-        tf.from_quaternion(-3.0 * quarter_about_z), tf.rotation_z(np.pi / 2), atol=1e-15
-    )
+    np.testing.assert_allclose(tf.from_quaternion(-3.0 * quarter_about_z), tf.rotation_z(np.pi / 2), atol=1e-15)
     np.testing.assert_allclose(tf.to_quaternion(tf.rotation_z(np.pi / 2)), quarter_about_z, atol=1e-15)
 
 

@@ -149,9 +149,7 @@ def test_log_mass_is_the_difference_of_two_distribution_functions() -> None:
 
 @pytest.mark.parametrize("parameters", MODERATE + FAR[:3])
 @pytest.mark.parametrize("noise", [1e-3, 0.1, 3.0])
-def test_noisy_density_equals_the_integral_over_the_true_value(
-    parameters: tuple[float, ...], noise: float
-) -> None:
+def test_noisy_density_equals_the_integral_over_the_true_value(parameters: tuple[float, ...], noise: float) -> None:
     start, end = support(*parameters)
     for y in (sample(0.01, *parameters) - noise, sample(0.3, *parameters), sample(0.99, *parameters) + noise):
 
@@ -236,8 +234,6 @@ def test_the_array_form_broadcasts_and_agrees_with_the_kernels() -> None:
         (0.0, 1.0, math.nan, 0.0, "bounds"),
     ],
 )
-def test_bad_parameters_are_named(
-    location: float, scale: float, lower: float, upper: float, message: str
-) -> None:
+def test_bad_parameters_are_named(location: float, scale: float, lower: float, upper: float, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         TruncatedNormal(np.array(location), np.array(scale), np.array(lower), np.array(upper))

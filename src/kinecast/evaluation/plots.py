@@ -1,0 +1,334 @@
+"""Charts of an evaluation: error over the horizon, NLL, coverage, violations. One look for every method.
+
+Figures are built without a display and without global state. `save_figure` writes them; `figure_svg` gives
+one for a web page, its ink following the page's text colour.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.errors import MissingExtraError
+from kinecast.evaluation.output import write_atomically
+from kinecast.evaluation.palette import INK, MUTED, method_style
+
+try:
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.font_manager import findfont, get_font
+except ImportError as error:
+    raise MissingExtraError("drawing", "train") from error
+
+Chart: TypeAlias = Figure
+
+__all__ = [
+    "Chart",
+    "drawable",
+    "figure_svg",
+    "plot_coverage",
+    "plot_coverage_by_horizon",
+    "plot_error_by_horizon",
+    "plot_nll_histograms",
+    "plot_violations",
+    "save_figure",
+]
+
+STYLE: dict[Any, Any] = {
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib, so pictures are the same everywhere
+    "font.size": 9.5,
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.titlepad": 10.0,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.width": 0.8,
+    "ytick.major.width": 0.8,
+    "grid.color": MUTED,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.7,
+    "lines.solid_capstyle": "round",
+    "lines.dash_capstyle": "round",
+    "text.parse_math": False,  # names of files are no formulas
+    "svg.fonttype": "none",
+    "svg.hashsalt": "kinecast",
+    "savefig.dpi": 160,
+}
+
+
+def plot_error_by_horizon(errors_mm: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Chart:
+    """Error over the time ahead, a line per method.
+
+    Args:
+        errors_mm: MPJPE [mm] per step, by method; None where nothing was scored.
+        horizon: time ahead of the last step [s]; without it the axis counts steps.
+    """
+    return _over_horizon(errors_mm, horizon, "Mean joint error over the horizon [mm]")
+
+
+def plot_coverage_by_horizon(
+    coverage: Mapping[str, Sequence[float | None]], horizon: float | None = None, level: float = 0.9
+) -> Chart:
+    """Share of true positions inside their region over the time ahead, a line per method.
+
+    Args:
+        coverage: share in [0, 1] per step, by method; None where nothing was scored.
+        horizon: time ahead of the last step [s]; without it the axis counts steps.
+        level: the share it should be, drawn for reference.
+    """
+    percent = {name: [None if v is None else 100 * v for v in shares] for name, shares in coverage.items()}
+    title = f"Inside the {100 * level:g} % region over the horizon [%]"
+    return _over_horizon(percent, horizon, title, should_be=100 * level)
+
+
+def plot_nll_histograms(
+    nll: Mapping[str, Float[np.ndarray, ...]], stderr: Mapping[str, float | None] | None = None
+) -> Chart:
+    """Negative log likelihood by method: mean with standard error, and the histogram around that mean.
+
+    Methods differ by far more than repeats of one method do, so each histogram is drawn around its own
+    mean, all on the same scales, counts on a logarithmic one.
+
+    Args:
+        nll: by method, the values whose spread is to be shown: one per repeat, or per window.
+        stderr: standard error of the mean, by method; without it that of the values.
+    """
+    rows = {name: values[np.isfinite(values)] for name, values in nll.items()}
+    rows = {name: values for name, values in rows.items() if len(values)}
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 1.25 + 0.46 * max(len(rows), 1)), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
+        _method_rows(left, list(rows))
+        left.set_title("Mean NLL per joint [nats]")
+        left.grid(axis="x")
+        for row, (name, values) in enumerate(rows.items()):
+            style = method_style(name)
+            error = (stderr or {}).get(name)
+            if error is None or not np.isfinite(error):
+                error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+            mean = float(values.mean())
+            left.errorbar(mean, row, xerr=error, fmt=style.marker, color=style.colour, capsize=3, ms=6)
+            text = f"{mean:.2f} ± {error:.2g}".replace("-", "−")
+            left.annotate(text, (mean, row), (0, 7), textcoords="offset points", ha="center", fontsize=8)
+        left.margins(x=0.18)
+        _histogram_rows(right, rows)
+    return figure
+
+
+def plot_coverage(coverage: Mapping[str, Mapping[str, float | None]]) -> Chart:
+    """How often the truth lay inside the region that should hold it, against the share it should be.
+
+    Args:
+        coverage: by method, observed share by nominal share, e.g. `{"0.9": 0.87}`.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(5.6, 4.6), layout="constrained")
+        axes = figure.subplots()
+        axes.plot([0.5, 1], [0.5, 1], color=MUTED, lw=1)
+        axes.text(0.03, 0.97, "too cautious", color=MUTED, va="top")
+        axes.text(0.97, 0.03, "too sure of itself", color=MUTED, ha="right")
+        ends = {}
+        for name, shares in coverage.items():
+            nominal = np.array(sorted(float(level) for level in shares))
+            observed = _floats([shares[level] for level in sorted(shares, key=float)])
+            known = np.isfinite(observed)
+            if not known.any():
+                continue
+            style = method_style(name)
+            axes.plot(
+                nominal[known], observed[known], style.marker, ls="-", ms=5,
+                color=style.colour, lw=style.width, dashes=style.dashes or (None, None),
+            )  # fmt: skip
+            ends[name] = (nominal[known][0], observed[known][0])
+        axes.set_xlim(0, 1)
+        axes.set_ylim(0, 1)
+        axes.set_aspect("equal")
+        axes.set_xlabel("share the region should hold")
+        axes.set_title("Share of true positions inside")
+        axes.grid()
+        _label_lines(axes, ends, at=0.38, height=3.9)
+    return figure
+
+
+def plot_violations(violations: Mapping[str, Mapping[str, float | None]], truth: Mapping[str, float | None]) -> Chart:
+    """Share of steps outside position, speed and scene limits, per method and for what was measured.
+
+    Args:
+        violations: by method, shares in [0, 1] by kind of limit.
+        truth: the same for the measured motion.
+    """
+    rows = {"measured": truth, **violations}
+    kinds = {"position": "out of range [%]", "speed": "too fast [%]", "scene": "in an obstacle [%]"}
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 1.2 + 0.32 * len(rows)), layout="constrained")
+        panels = figure.subplots(1, 3, sharey=True)
+        for axes, (kind, title) in zip(panels, kinds.items(), strict=True):
+            percent = 100 * _floats([shares.get(kind) for shares in rows.values()])
+            largest = np.nanmax(percent, initial=0.0)
+            for row, (name, value) in enumerate(zip(rows, percent, strict=True)):
+                face, edge = ("none", INK) if row == 0 else (method_style(name).colour, "none")
+                axes.barh(row, np.nan_to_num(value), height=0.62, facecolor=face, edgecolor=edge)
+                axes.annotate(
+                    _percent(value), (np.nan_to_num(value), row), (4, 0), textcoords="offset points",
+                    va="center", fontsize=8.5,
+                )  # fmt: skip
+            axes.set_xlim(0, 1.3 * largest or 1.0)
+            axes.set_title(title)
+            axes.spines["bottom"].set_visible(False)
+            axes.set_xticks([])
+            _method_rows(axes, list(rows))
+    return figure
+
+
+def save_figure(figure: Chart, path: Path) -> None:
+    """Write a figure as PNG on white, all or nothing."""
+    with mpl.rc_context(STYLE):
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", facecolor="white")
+    write_atomically(path, stream.getvalue())
+
+
+def figure_svg(figure: Chart, title: str) -> str:
+    """The figure as an `<svg>` element without background, in the font and text colour of the page around it.
+
+    Args:
+        figure: one of this module's.
+        title: read out in place of the picture; any text.
+    """
+    stream = io.StringIO()
+    with mpl.rc_context({**STYLE, "svg.hashsalt": title}):
+        nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
+        figure.savefig(stream, format="svg", transparent=True, metadata=nothing)
+    svg = stream.getvalue()
+    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    svg = re.sub(r"font-family: [^;\"]*", "font-family: inherit", svg)
+    svg = re.sub(r' id="[a-z0-9.]+_\d+"', "", svg)  # names of groups, which would repeat on a page
+    svg = re.sub(r'width="[^"]*" height="[^"]*"', "", svg, count=1)
+    width = f"max-width: {6.4 * figure.get_figwidth():.1f}rem"  # text as large as the page's small print
+    return svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(title)}" style="{width}" ', 1)
+
+
+def drawable(text: str) -> str:
+    """The text with what the font cannot draw, control characters included, as boxes."""
+    font = get_font(findfont(STYLE["font.family"][0]))
+    known = font.get_charmap()
+    return "".join(letter if letter.isprintable() and ord(letter) in known else "□" for letter in text)
+
+
+def _over_horizon(
+    values: Mapping[str, Sequence[float | None]],
+    horizon: float | None,
+    title: str,
+    should_be: float | None = None,
+) -> Chart:
+    """A line per method over the time ahead, and one where the values should be."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+        axes = figure.subplots()
+        ends = {}
+        for name, steps in values.items():
+            heights = _floats(steps)
+            if not np.isfinite(heights).any():
+                continue
+            ahead = np.arange(1, len(heights) + 1) * (1.0 if horizon is None else horizon / len(heights))
+            style = method_style(name)
+            axes.plot(ahead, heights, color=style.colour, lw=style.width, dashes=style.dashes or (None, None))
+            last = np.flatnonzero(np.isfinite(heights))[-1]
+            axes.plot(ahead[last], heights[last], style.marker, color=style.colour, ms=5)
+            ends[name] = (ahead[last], heights[last])
+        if should_be is None:
+            axes.set_ylim(bottom=0)
+        else:
+            axes.axhline(should_be, color=MUTED, lw=1, zorder=0)
+        axes.set_xlim(left=0)
+        axes.set_title(title)
+        axes.set_xlabel("steps ahead" if horizon is None else "time ahead [s]")
+        axes.grid(axis="y")
+        _label_lines(axes, ends, at=1.03, height=3.3)
+    return figure
+
+
+def _floats(values: Sequence[float | None]) -> Float[np.ndarray, " K"]:
+    """Numbers, NaN for what is unknown."""
+    return np.array([np.nan if value is None else float(value) for value in values])
+
+
+def _percent(value: float) -> str:
+    """A share in per cent, short; a true zero reads 0."""
+    if not np.isfinite(value):
+        return "–"
+    return "0" if value == 0 else f"{value:.1f}" if value >= 0.1 else "< 0.1"
+
+
+def _method_rows(axes: Axes, names: Sequence[str]) -> None:
+    """One row per name, the first on top."""
+    axes.set_yticks(range(len(names)), [drawable(name) for name in names])
+    axes.set_ylim(len(names) - 0.4, -0.75)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+
+
+def _histogram_rows(axes: Axes, rows: Mapping[str, Float[np.ndarray, ...]]) -> None:
+    """A histogram per row, around its own mean, on common scales; heights grow with the count's logarithm."""
+    away = {name: values - values.mean() for name, values in rows.items()}
+    reach = max((float(np.quantile(np.abs(values), 0.995)) for values in away.values()), default=0.0) or 1.0
+    edges = np.linspace(-1.08 * reach, 1.08 * reach, 42)
+    counts = {name: np.histogram(values, edges)[0] for name, values in away.items()}
+    tallest = max((int(count.max()) for count in counts.values()), default=1)
+    for row, (name, count) in enumerate(counts.items()):
+        height = 0.8 * np.log1p(count) / np.log1p(max(tallest, 1))
+        axes.stairs(row + 0.3 - height, edges, baseline=row + 0.3, fill=True, color=method_style(name).colour)
+        axes.axhline(row + 0.3, color=MUTED, lw=0.6)
+    axes.set_ylim(len(rows) - 0.4, -0.75)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.set_title("Spread [nats], log counts")
+    axes.grid(axis="x")
+
+
+def _label_lines(axes: Axes, ends: Mapping[str, tuple[float, float]], at: float, height: float) -> None:
+    """Name each line near its end, moved up or down just enough that names do not overlap.
+
+    Args:
+        axes: with its y limits set.
+        ends: the point of each line to be named.
+        at: where the names are, in widths of the axes; right of the points, or left of them if below 0.5.
+        height: of the axes in inches.
+    """
+    low, high = axes.get_ylim()
+    gap = (high - low) * 13.0 / (72 * height)
+    order = sorted(ends, key=lambda name: ends[name][1])
+    places = np.array([ends[name][1] for name in order])
+    for _ in range(500):  # neighbours push each other apart until none is too near
+        push = np.maximum(gap - np.diff(places), 0) / 2
+        if not np.any(push > 1e-3 * gap):
+            break
+        places[:-1] -= push
+        places[1:] += push
+    places += min(0.0, high - places.max(initial=low)) + max(0.0, low - places.min(initial=high))
+    right = at >= 0.5
+    for name, place in zip(order, places, strict=True):
+        colour = method_style(name).colour
+        axes.annotate(
+            drawable(name), ends[name], (at, place), textcoords=axes.get_yaxis_transform(), color=colour,
+            va="center", ha="left" if right else "right", annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6, "alpha": 0.7,
+                        "relpos": (0 if right else 1, 0.5), "shrinkA": 0, "shrinkB": 4},
+        )  # fmt: skip

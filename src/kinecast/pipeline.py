@@ -1,0 +1,56 @@
+"""From recordings to windows, and one frame after another through the predictor: the main loop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kinecast.datasets.recording import Recording
+from kinecast.datasets.windows import WindowOptions, Windows, all_windows
+from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.predictor import Predictor
+from kinecast.types import Prediction, SkeletonFrame
+
+__all__ = ["frames", "observations", "stream", "training_windows"]
+
+
+def training_windows(recordings: Sequence[Recording], options: WindowOptions) -> TrainingWindows:
+    """Windows of several recordings for training: gaps and jumps of what came next repaired with hindsight.
+
+    Raises:
+        DatasetError: no recording has a single window.
+        OptionError: the label occurs in none of them.
+    """
+    parts = list(all_windows(recordings, replace(options, mend_future=True)))
+    owner = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
+    future = np.concatenate([part.future for part in parts])
+    whole = np.isfinite(future).all(axis=(1, 2, 3))
+    return TrainingWindows(
+        np.concatenate([part.arms for part in parts])[whole],
+        future[whole],
+        np.concatenate([part.up for part in parts])[whole],
+        owner[whole],
+        1.0 / options.rate,
+    )
+
+
+def observations(part: Windows) -> list[Observation]:
+    """The windows of one recording as a predictor sees them."""
+    return [
+        Observation(arms, up, 1.0 / part.rate, float(stamp))
+        for arms, up, stamp in zip(part.arms, part.up, part.stamps, strict=True)
+    ]
+
+
+def frames(recording: Recording) -> Iterator[SkeletonFrame]:
+    """A recording as the camera gave it, frame after frame."""
+    for stamp, positions in zip(recording.stamps, recording.positions, strict=True):
+        yield SkeletonFrame(float(stamp), recording.joints, positions, recording.person)
+
+
+def stream(recording: Recording, predictor: Predictor) -> Iterator[Prediction]:
+    """Every frame of a recording through the online predictor."""
+    for frame in frames(recording):
+        yield predictor.observe(frame)

@@ -1,0 +1,196 @@
+"""The paper's three methods: one-step sparse Gaussian processes, rolled out over the horizon by sampling (Alg. 1).
+
+`gp_xyz` is `PositionSeries`: a process for each coordinate of each joint, in the world. `gp_angles` and
+`gp_constrained` are `PostureSeries`: a process for each smooth posture coordinate, free or inside joint limits, speeds
+and scene. Each series' next value depends on its own last 200 ms alone, as in the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.limits import JointLimits
+from kinecast.body.posture import coordinates_from_postures, points_from_postures, postures_from_points
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.allowance import Allowance
+from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
+from kinecast.prediction.gaussian import posture_bounds, posture_coordinates
+from kinecast.prediction.mixture_density import PositionSeriesDensity, PostureSeriesDensity
+from kinecast.prediction.noise import coordinate_noise
+from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.rollout import RELATIVE, SERIES, roll_positions, roll_series
+from kinecast.prediction.series import SeriesStack, stack_from_arrays, stack_of
+from kinecast.prediction.training import SparseGPOptions, fit_many
+
+__all__ = ["PositionSeries", "PostureSeries"]
+
+LENGTHS = (10, 11, 16, 17)
+"""Where a posture holds bone lengths: left upper arm and forearm, right upper arm and forearm."""
+
+
+class SeriesOptions(Protocol):
+    """What training a set of series needs to know (kinecast.prediction.methods.TrainingOptions)."""
+
+    @property
+    def seed(self) -> int: ...
+    @property
+    def pseudo_inputs(self) -> int: ...
+    @property
+    def points(self) -> int: ...
+    @property
+    def iterations(self) -> int: ...
+
+
+def _fit(
+    inputs: Float[np.ndarray, "D W N"],
+    outputs: Float[np.ndarray, "D W"],
+    options: SeriesOptions,
+    progress: Callable[[int, int], None] | None,
+) -> SeriesStack:
+    """A process per series, each on the same random choice of windows."""
+    windows = inputs.shape[1]
+    rows = np.sort(np.random.default_rng(options.seed).permutation(windows)[: options.points])
+    settings = SparseGPOptions(pseudo_inputs=options.pseudo_inputs, iterations=options.iterations, seed=options.seed)
+    return stack_of(fit_many(inputs[:, rows], outputs[:, rows, None], settings, progress=progress))
+
+
+@dataclass(frozen=True)
+class PositionSeries:
+    """`gp_xyz`: 18 independent series of world coordinates; knows neither body nor scene."""
+
+    frames: int
+    steps: int
+    dt: float
+    stack: SeriesStack
+
+    @staticmethod
+    def fit(
+        windows: TrainingWindows, options: SeriesOptions, progress: Callable[[int, int], None] | None
+    ) -> PositionSeries:
+        """One process per coordinate, from the raw world positions as the paper has it."""
+        count, frames = windows.observed.shape[:2]
+        inputs = windows.observed.reshape(count, frames, 18).transpose(2, 0, 1)
+        outputs = windows.future[:, 0].reshape(count, 18).T
+        stack = _fit(inputs, outputs, options, progress)
+        return PositionSeries(frames, windows.future.shape[1], windows.dt, stack)
+
+    def forecast(
+        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
+    ) -> Forecast:
+        """See kinecast.prediction.forecast.Method; the scene is disregarded."""
+        del scene
+        window = observation.positions.reshape(self.frames, 18)
+        offsets = rng.standard_normal((samples, 18)) * np.repeat(observation.noise, 3)
+        normals = rng.standard_normal((samples, self.steps, 18))
+        positions, means, spreads = roll_positions(window, offsets, self.stack, normals)
+        points = positions.reshape(samples, self.steps, 6, 3)
+        mean = points.mean(axis=0)
+        density = PositionSeriesDensity(mean, means, spreads)
+        return Forecast(points, mean, density, np.ones(self.steps), samples)
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Plain arrays for a checkpoint."""
+        return dict(self.stack._asdict())
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float) -> PositionSeries:
+        """The method that `to_arrays` described."""
+        return PositionSeries(frames, steps, dt, stack_from_arrays(arrays, 18, frames))
+
+
+@dataclass(frozen=True)
+class PostureSeries:
+    """`gp_angles` and `gp_constrained`: independent series of smooth posture coordinates.
+
+    Attributes:
+        stack: the processes of the coordinates in `rollout.SERIES`.
+        length_spread: (T, 4) how far bone lengths stray from their last value by each step [m].
+        noise: spread of a measured joint about the true one [m], for the density of measurements.
+        limits: range and speed of the arm's angles; None leaves them free and disregards the scene.
+    """
+
+    frames: int
+    steps: int
+    dt: float
+    stack: SeriesStack
+    length_spread: Float[np.ndarray, "T 4"]
+    noise: float
+    limits: JointLimits | None = None
+
+    @staticmethod
+    def fit(
+        windows: TrainingWindows,
+        options: SeriesOptions,
+        noise: float,
+        progress: Callable[[int, int], None] | None,
+    ) -> PostureSeries:
+        """One process per coordinate; torso pose relative to its last value, angles as they are."""
+        observed, future = posture_coordinates(windows.points, windows.future_points)
+        series = list(SERIES)
+        inputs, outputs = observed[:, :, series], future[:, 0, series]
+        torso = np.array(SERIES) < RELATIVE
+        last = observed[:, -1:, series][..., torso]
+        inputs[..., torso] -= last
+        outputs[:, torso] -= last[:, 0]
+        stack = _fit(inputs.transpose(2, 0, 1), outputs.T, options, progress)
+        stray = future[..., list(LENGTHS)] - observed[:, -1:, list(LENGTHS)]
+        length_spread = np.sqrt((stray**2).mean(axis=0) + 1e-6)
+        return PostureSeries(observed.shape[1], future.shape[1], windows.dt, stack, length_spread, noise)
+
+    def with_limits(self, limits: JointLimits | None) -> PostureSeries:
+        """The same processes, constrained or free."""
+        return replace(self, limits=limits)
+
+    def forecast(
+        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
+    ) -> Forecast:
+        """See kinecast.prediction.forecast.Method."""
+        track = postures_from_points(observation.points, continuous=True)
+        offsets = rng.standard_normal((samples, 18)) * coordinate_noise(track[-1], observation.noise)
+        normals = rng.standard_normal((samples, self.steps, 18))
+        uniforms = rng.random((samples, self.steps, 8))
+        lower, upper, speed, wrist_speed = posture_bounds(self.limits)
+        postures, means, spreads = roll_series(
+            coordinates_from_postures(track), offsets, self.stack, self.length_spread, track[-1],
+            normals, uniforms, lower, upper, speed, wrist_speed, self.dt,
+        )  # fmt: skip
+        points = points_from_postures(postures)
+        mean = points.mean(axis=0)
+        constrained = self.limits is not None and scene is not None
+        allowance = Allowance(lambda: points, observation, track[-1], None, scene, self.noise) if constrained else None
+        density = PostureSeriesDensity(
+            mean, postures, means, spreads, track[-1], self.limits, self.dt, self.noise, allowance
+        )
+        forecast = Forecast(
+            observation.to_world(points),
+            observation.to_world(mean),
+            WorldDensity(observation, density),
+            np.ones(self.steps),
+            samples,
+        )
+        if scene is not None and constrained:
+            return within_scene(forecast, observation, rng, scene)
+        return forecast
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Plain arrays for a checkpoint."""
+        return {**self.stack._asdict(), "length_spread": self.length_spread}
+
+    @staticmethod
+    def from_arrays(
+        arrays: Mapping[str, np.ndarray],
+        frames: int,
+        steps: int,
+        dt: float,
+        noise: float,
+        limits: JointLimits | None,
+    ) -> PostureSeries:
+        """The method that `to_arrays` described."""
+        stack = stack_from_arrays(arrays, len(SERIES), frames)
+        spread = np.asarray(arrays["length_spread"], float)
+        return PostureSeries(frames, steps, dt, stack, spread, noise, limits)

@@ -1,0 +1,334 @@
+"""Downloads against a server on loopback: whole, resumed, truncated, wrong, and hostile."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import json
+import os
+import re
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from rich.console import Console
+from rich.progress import Progress
+
+from kinecast.datasets.download import download, public_sets
+from kinecast.errors import DownloadError, OptionError
+
+CONTENT = np.random.default_rng(0).bytes(300_000)
+
+
+class Server(ThreadingHTTPServer):
+    """Serves `files`; a test may make it misbehave."""
+
+    daemon_threads = True
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.files: dict[str, bytes] = {}
+        self.ranges = True  # understands Range
+        self.breaks_after: int | None = None  # closes a connection after so many bytes
+        self.busy: dict[str, int] = {}  # answers 503 so often first
+        self.requests: list[tuple[str, str | None]] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}/"
+
+    def record(self, **files: bytes) -> None:
+        """Serve files and a Zenodo record that lists them."""
+        self.files.update({f"files/{name}": content for name, content in files.items()})
+        self.list_files([self.entry(name, content) for name, content in files.items()])
+
+    def entry(self, name: str, content: bytes) -> dict[str, object]:
+        link = {"self": f"{self.url}files/{name}"}
+        return {
+            "key": name,
+            "size": len(content),
+            "checksum": f"md5:{hashlib.md5(content).hexdigest()}",
+            "links": link,
+        }
+
+    def list_files(self, entries: list[dict[str, object]], **metadata: str) -> None:
+        self.files["record"] = json.dumps({"metadata": metadata, "files": entries}).encode()
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Server
+
+    def do_GET(self) -> None:
+        server = self.server
+        path, wanted = unquote(self.path[1:]), self.headers.get("Range")
+        server.requests.append((path, wanted))
+        if server.busy.get(path):
+            server.busy[path] -= 1
+            self.send_error(503)
+        elif path not in server.files:
+            self.send_error(404)
+        else:
+            content, start = server.files[path], 0
+            if wanted and server.ranges:
+                start = int(wanted.removeprefix("bytes=").removesuffix("-"))
+                if start >= len(content):
+                    self.send_error(416)
+                    return
+                self.send_response(206)
+                self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
+            else:
+                self.send_response(200)
+            self.send_header("Content-Length", str(len(content) - start))
+            self.end_headers()
+            end = None if server.breaks_after is None or path == "record" else start + server.breaks_after
+            self.wfile.write(content[start:end])
+            self.close_connection = True
+
+    def log_message(self, *_: object) -> None:
+        """Silence."""
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with Server() as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+def fetch(server: Server, folder: Path, only: str = "*") -> list[Path]:
+    return download("andy", folder, only=only, url=server.url + "record", patience=0.0)
+
+
+def everything_in(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_files_arrive_whole_and_are_not_fetched_twice(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT, "sub/b c.txt": b"hello", "empty": b""})
+    paths = fetch(server, tmp_path / "new")
+    assert [path.read_bytes() for path in paths] == [CONTENT, b"hello", b""]
+    assert everything_in(tmp_path / "new") == {"a.bin", "sub/b c.txt", "empty"}
+    server.requests.clear()
+    assert fetch(server, tmp_path / "new") == paths
+    assert [path for path, _ in server.requests] == ["record"]
+
+
+def test_a_damaged_file_is_fetched_again(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT})
+    (tmp_path / "a.bin").write_bytes(CONTENT[:-1] + b"!")
+    (path,) = fetch(server, tmp_path)
+    assert path.read_bytes() == CONTENT
+
+
+def test_only_takes_some_files(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.mvnx": b"1", "a.csv": b"2"})
+    fetch(server, tmp_path, only="*.mvnx")
+    assert everything_in(tmp_path) == {"a.mvnx"}
+    with pytest.raises(DownloadError, match=r"no file matches '\*\.bvh'"):
+        fetch(server, tmp_path, only="*.bvh")
+
+
+def test_a_broken_connection_is_resumed_where_it_broke(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT})
+    server.breaks_after = 130_000
+    (path,) = fetch(server, tmp_path)
+    assert path.read_bytes() == CONTENT
+    assert [wanted for name, wanted in server.requests if name == "files/a.bin"] == [
+        None,
+        "bytes=130000-",
+        "bytes=260000-",
+    ]
+
+
+def test_a_run_that_was_stopped_is_continued_by_the_next(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT})
+    server.breaks_after = 0
+    digest = hashlib.md5(CONTENT).hexdigest()
+    part = tmp_path / f"a.bin.{digest[:8]}.part"
+    part.write_bytes(CONTENT[:100_000])
+    with pytest.raises(DownloadError, match=r"a\.bin: .*100000 of 300000 bytes are kept") as caught:
+        fetch(server, tmp_path)
+    assert isinstance(caught.value, OSError)
+    assert everything_in(tmp_path) == {part.name}, "an incomplete file never has its final name"
+    server.breaks_after = None
+    server.requests.clear()
+    (path,) = fetch(server, tmp_path)
+    assert path.read_bytes() == CONTENT
+    assert ("files/a.bin", "bytes=100000-") in server.requests
+    assert everything_in(tmp_path) == {"a.bin"}
+
+
+def test_a_server_without_ranges_starts_again(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT})
+    server.ranges = False
+    (tmp_path / f"a.bin.{hashlib.md5(CONTENT).hexdigest()[:8]}.part").write_bytes(b"x" * 1000)
+    (path,) = fetch(server, tmp_path)
+    assert path.read_bytes() == CONTENT
+
+
+def test_a_part_that_is_too_long_or_stale_is_thrown_away(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT})
+    part = tmp_path / f"a.bin.{hashlib.md5(CONTENT).hexdigest()[:8]}.part"
+    part.write_bytes(CONTENT + b"more")
+    assert fetch(server, tmp_path)[0].read_bytes() == CONTENT
+    (tmp_path / "a.bin").unlink()
+    part.write_bytes(b"?" * 100)  # of the right length to resume, but other bytes
+    with pytest.raises(DownloadError, match="checksum"):
+        fetch(server, tmp_path)
+    assert everything_in(tmp_path) == set()
+    assert fetch(server, tmp_path)[0].read_bytes() == CONTENT
+
+
+def test_a_busy_server_is_asked_again(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": b"abc"})
+    server.busy["files/a.bin"] = 2
+    assert fetch(server, tmp_path)[0].read_bytes() == b"abc"
+    assert [name for name, _ in server.requests] == ["record"] + ["files/a.bin"] * 3
+
+
+def test_a_missing_file_is_not_asked_for_again(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": b"abc"})
+    del server.files["files/a.bin"]
+    with pytest.raises(DownloadError, match=r"a\.bin: the server answers 404 .*files/a\.bin"):
+        fetch(server, tmp_path)
+    assert [name for name, _ in server.requests] == ["record", "files/a.bin"]
+
+
+def test_wrong_bytes_are_not_kept(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT})
+    server.files["files/a.bin"] = CONTENT[:-1] + b"?"
+    with pytest.raises(DownloadError, match=r"a\.bin: what .* sent is not the file it should be \(its checksum"):
+        fetch(server, tmp_path)
+    assert everything_in(tmp_path) == set()
+
+
+def test_a_file_larger_than_announced_is_cut_off(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": b"abc"})
+    server.files["files/a.bin"] = CONTENT * 10
+    with pytest.raises(DownloadError, match="sends more than the file's 3 bytes"):
+        fetch(server, tmp_path)
+    assert everything_in(tmp_path) == set()
+
+
+OUTSIDE = ["../evil", "/etc/evil", "a/../../evil", "a//b", "a/./b", "", "C:evil", "a\\..\\evil"]
+UNUSABLE = ["nul\0", "tab\t", "a/ /b", "x.", "a" * 300]
+
+
+@pytest.mark.parametrize("name", OUTSIDE + UNUSABLE)
+def test_names_that_lead_elsewhere_are_refused(server: Server, tmp_path: Path, name: str) -> None:
+    server.list_files([server.entry("ok", b""), {**server.entry("x", b"evil"), "key": name}])
+    server.files["files/ok"] = server.files["files/x"] = b"evil"
+    folder = tmp_path / "inside"
+    with pytest.raises(DownloadError, match="refusing the file name"):
+        fetch(server, folder)
+    assert everything_in(tmp_path) == set(), "nothing at all is written"
+
+
+def test_a_link_inside_the_folder_does_not_lead_out(server: Server, tmp_path: Path) -> None:
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "inside").mkdir()
+    os.symlink(tmp_path / "outside", tmp_path / "inside" / "sub")
+    server.record(**{"sub/a": b"evil"})
+    with pytest.raises(DownloadError, match="leads outside"):
+        fetch(server, tmp_path / "inside")
+    assert everything_in(tmp_path / "outside") == set()
+
+
+@pytest.mark.parametrize(
+    ("listing", "message"),
+    [
+        (b"<html>", "did not answer with a record"),
+        (b"[]", "did not answer with a record"),
+        (b'{"metadata": {}, "files": [{"key": "a"}]}', "did not answer with a record"),
+        (b"[" * 100_000, "did not answer with a record"),
+        (b" " * 10_000_001, "larger than 10000000 bytes"),
+        (b'{"metadata": {"access_right": "restricted"}, "files": []}', r"is not open \(restricted\)"),
+        (b'{"metadata": {}, "files": []}', "no file matches"),
+    ],
+)
+def test_a_listing_that_is_none(server: Server, tmp_path: Path, listing: bytes, message: str) -> None:
+    server.files["record"] = listing
+    with pytest.raises(DownloadError, match=message):
+        fetch(server, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"checksum": "md5:1234"}, "no usable checksum"),
+        ({"checksum": "crc:" + "0" * 32}, "no usable checksum"),
+        ({"size": -1}, "no usable checksum"),
+        ({"links": {"self": "http://127.0.0.1:1/files/a"}}, "listed on another server"),
+        ({"links": {"self": "file:///etc/passwd"}}, "listed on another server"),
+        ({"size": 10**18}, r"GB are missing"),
+    ],
+)
+def test_entries_that_cannot_be_trusted(
+    server: Server, tmp_path: Path, change: dict[str, object], message: str
+) -> None:
+    server.list_files([{**server.entry("a", b"abc"), **change}])
+    with pytest.raises(DownloadError, match=message):
+        fetch(server, tmp_path)
+    assert everything_in(tmp_path) == set()
+
+
+def test_a_name_listed_twice_is_refused(server: Server, tmp_path: Path) -> None:
+    server.list_files([server.entry("a", b"abc")] * 2)
+    with pytest.raises(DownloadError, match="some of the same name"):
+        fetch(server, tmp_path)
+
+
+def test_nobody_listens(tmp_path: Path) -> None:
+    with Server() as closed:
+        url = closed.url
+    with pytest.raises(DownloadError, match="cannot read the list of files"):
+        download("andy", tmp_path, url=url, patience=0.0)
+    with pytest.raises(DownloadError, match=r"(?s)CollaborativeHammering/0\.csv: .*0 of 968742 bytes"):
+        download("human-robot-animations", tmp_path, url=url, patience=0.0)
+    with pytest.raises(DownloadError, match="only http and https"):
+        download("andy", tmp_path, url="file:///etc/passwd")
+
+
+def test_an_unknown_set_is_an_option_error_that_lists_them(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="no public set 'h36m'; there are human-robot-animations, human-assembly"):
+        download("h36m", tmp_path)
+
+
+def test_the_bar_ends_at_the_total(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT, "b": b"12345"})
+    (tmp_path / "b").write_bytes(b"12345")
+    with Progress(console=Console(file=io.StringIO())) as progress:
+        download("andy", tmp_path, progress, url=server.url + "record")
+        (task,) = progress.tasks
+        assert task.completed == task.total == 300_005
+
+
+def test_the_shipped_table_is_well_formed() -> None:
+    sets = public_sets()
+    assert list(sets) == ["human-robot-animations", "human-assembly-data", "handovers", "andy"]
+    assert [None if s.files is None else len(s.files) for s in sets.values()] == [47, 14, 27, None]
+    for public in sets.values():
+        assert public.url.startswith("https://")
+        for checksum, size in (public.files or {}).values():
+            assert re.fullmatch("sha256:[0-9a-f]{64}", checksum)
+            assert 0 < size < 10_000_000
+
+
+def test_the_shipped_checksums_are_those_of_the_real_files(server: Server, data_root: Path, tmp_path: Path) -> None:
+    """The recordings kept for tests are the originals, compressed: serve them, download them."""
+    source = data_root / "kth_handover_sample"
+    if not source.is_dir():
+        pytest.skip("no kth_handover_sample among the recordings")
+    for path in source.rglob("*.csv.gz"):
+        server.files[path.relative_to(source).as_posix().removesuffix(".gz")] = gzip.decompress(path.read_bytes())
+    paths = download("handovers", tmp_path, url=server.url, patience=0.0)
+    assert len(paths) == 27
+    assert all(path.read_text().startswith("x,y,z,q0,q1,q2,q3\n") for path in paths)
