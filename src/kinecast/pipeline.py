@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, Windows, all_windows
@@ -13,7 +14,7 @@ from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.predictor import Predictor
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["frames", "observations", "stream", "training_windows"]
+__all__ = ["every_frame", "followed", "frames", "observations", "stream", "training_windows"]
 
 
 def training_windows(recordings: Sequence[Recording], options: WindowOptions) -> TrainingWindows:
@@ -24,6 +25,9 @@ def training_windows(recordings: Sequence[Recording], options: WindowOptions) ->
         OptionError: the label occurs in none of them.
     """
     parts = list(all_windows(recordings, replace(options, mend_future=True)))
+    task_of = {recording.name: recording.task for recording in recordings}
+    tasks = sorted({task_of[part.name] for part in parts})
+    groups = [tasks.index(task_of[part.name]) if len(tasks) > 1 else k for k, part in enumerate(parts)]
     owner = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
     future = np.concatenate([part.future for part in parts])
     whole = np.isfinite(future).all(axis=(1, 2, 3))
@@ -33,6 +37,8 @@ def training_windows(recordings: Sequence[Recording], options: WindowOptions) ->
         np.concatenate([part.up for part in parts])[whole],
         owner[whole],
         1.0 / options.rate,
+        np.concatenate([part.frames for part in parts])[whole],
+        np.array(groups)[owner[whole]],
     )
 
 
@@ -42,6 +48,17 @@ def observations(part: Windows) -> list[Observation]:
         Observation(arms, up, 1.0 / part.rate, float(stamp))
         for arms, up, stamp in zip(part.arms, part.up, part.stamps, strict=True)
     ]
+
+
+def every_frame(options: WindowOptions) -> WindowOptions:
+    """Options for the windows that end with each frame, gaps and all: what an online predictor sees."""
+    return replace(options, stride=1, whole=False, label=None, trim=False)
+
+
+def followed(history: Windows) -> list[tuple[int, Observation, Float[np.ndarray, "6 3"]]]:
+    """Frame after frame: its index, the window that ends with it, and what was measured, NaN where it was not."""
+    measured = np.where(history.touched[:, -1, :6, None], np.nan, history.arms[:, -1])
+    return list(zip(history.frames.tolist(), observations(history), measured, strict=True))
 
 
 def frames(recording: Recording) -> Iterator[SkeletonFrame]:

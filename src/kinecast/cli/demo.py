@@ -11,6 +11,7 @@ from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.protocol import EvaluationOptions
 from kinecast.evaluation.run import run_evaluation
 from kinecast.evaluation.tables import format_table
+from kinecast.pipeline import every_frame
 from kinecast.prediction.methods import shipped_methods
 
 __all__ = ["demo"]
@@ -29,7 +30,9 @@ def demo(out: Path = Path("kinecast-demo")) -> None:
     people = SyntheticOptions(subjects=2, recordings=2, duration=15.0)
     scene = table_scene(people)
     windows = WindowOptions()
-    parts = list(all_windows(generate(people, SEED), windows))
+    recordings = generate(people, SEED)
+    parts = list(all_windows(recordings, windows))
+    histories = list(all_windows(recordings, every_frame(windows)))
     card, methods = shipped_methods()
     options = EvaluationOptions(samples=500, repeats=5, repeat_windows=20, limits=card.limits)
     settings = {
@@ -43,7 +46,7 @@ def demo(out: Path = Path("kinecast-demo")) -> None:
         "scene": "generated table",
     }
     with progress_bar("predicting") as progress:
-        metrics = run_evaluation(out, methods, parts, scene, options, settings, progress)
+        metrics = run_evaluation(out, methods, parts, histories, scene, options, settings, progress)
     print(format_table(metrics))
     for name in ("report.html", "prediction.png", "prediction.gif"):
         print(out / name)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import arg
 
-from kinecast.datasets.loading import load_all
+from kinecast.cli.options import FormatName, Switch, What
+from kinecast.cli.progress import progress_bar
+from kinecast.cli.recordings import read_recordings
 from kinecast.datasets.summary import summarise
 
 __all__ = ["info"]
 
 
 def info(
-    paths: Annotated[tuple[Path, ...], tyro.conf.Positional],
-    format: str | None = None,
-    as_json: bool = False,
+    paths: What,
+    format: FormatName = None,
+    as_json: Annotated[Switch, arg(name="json")] = False,
 ) -> None:
     """What recordings hold: format, joints, rate, length, gaps, jumps, bones, speeds, and what repair would do.
 
@@ -26,7 +27,12 @@ def info(
         format: read them as this format instead of finding it by content.
         as_json: print JSON instead of text.
     """
-    summaries = [summarise(recording) for recording in load_all(paths, format)]
+    recordings = read_recordings(paths, format)
+    summaries = []
+    with progress_bar("measuring") as progress:
+        for recording in recordings:
+            summaries.append(summarise(recording))
+            progress(len(summaries), len(recordings))
     if as_json:
         print(json.dumps([summary.as_json() for summary in summaries], indent=1))
     else:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
+from tyro.conf import Positional, arg
 
+from kinecast.cli.destination import check_file
+from kinecast.cli.options import File, FormatName, SceneFile
 from kinecast.cli.progress import progress_bar
-from kinecast.datasets.loading import load
+from kinecast.cli.recordings import listed, read_recordings
+from kinecast.datasets.recording import Recording
 from kinecast.datasets.table_file import Rows, Words, write_rows
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
@@ -20,82 +25,86 @@ from kinecast.types import Prediction, Status
 
 __all__ = ["predict"]
 
+UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
+"""Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
+
 
 def predict(
-    path: Annotated[Path, tyro.conf.Positional],
-    out: Path,
-    model: Path | None = None,
-    scene: Path | None = None,
+    path: Positional[Path],
+    out: File,
+    model: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")] = None,
+    scene: SceneFile = None,
     samples: int = 1000,
     seed: int = 0,
-    format: str | None = None,
+    format: FormatName = None,
 ) -> None:
     """Streams a recording through the online predictor, frame by frame as the camera gave them.
 
-    Writes a table with one row per predicted instant and joint: `stamp` is the predicted instant, `label` the
-    status, `x, y, z` the mean and `sxx … szz` the covariance; the metadata says what made it. The frame a row was
-    predicted from is its `made` column in the metadata's order: predictions follow one another, T instants each.
-
     Args:
-        path: a recording.
-        out: the table to write, ending in .parquet or .csv.
-        model: a model file; the one shipped with kinecast if left out.
+        path: a recording; all its persons are followed.
+        out: the table to write, ending in .parquet or .csv, with a row per frame, predicted instant and joint:
+            `made` is the frame's stamp, `stamp` the predicted instant, `x, y, z` the mean and `sxx … szz` the
+            covariance, `label` the prediction's status.
+        model: a model file.
         scene: obstacles, a YAML file.
         samples: motions drawn per prediction.
         seed: of the draws.
         format: read the recording as this format instead of finding it by content.
     """
-    if out.suffix not in (".parquet", ".csv"):
-        raise OptionError(f"--out {out}: a table ends in .parquet or .csv")
-    obstacles = None if scene is None else Scene.load(scene)
-    recordings = load(path, format)
+    check_file(out, (".parquet", ".csv"))
     options = PredictorOptions(samples=samples, seed=seed)
+    obstacles = None if scene is None else Scene.load(scene)
+    recordings = _one_scene(read_recordings((path,), format), path)
     predictor = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
     predictions: list[Prediction] = []
     total = sum(len(recording.stamps) for recording in recordings)
     with progress_bar("predicting") as progress:
-        for recording in recordings:
-            for prediction in stream(recording, predictor):
-                predictions.append(_summary_only(prediction))
-                progress(len(predictions), total)
+        for prediction in stream(recordings, predictor):
+            predictions.append(_without_samples(prediction))
+            progress(len(predictions), total)
     write_rows(out, _rows(predictions, path, predictor))
-    milliseconds = [prediction.diagnostics["milliseconds"] for prediction in predictions]
-    counts = Counter(prediction.status for prediction in predictions)
-    print(f"{out}: {len(predictions)} predictions; p50 {np.percentile(milliseconds, 50):.1f} ms, "
-          f"p99 {np.percentile(milliseconds, 99):.1f} ms a frame")  # fmt: skip
-    for status, count in counts.most_common():
+    p50, p99 = np.percentile([prediction.diagnostics["milliseconds"] for prediction in predictions], [50, 99])
+    print(f"{out}: {len(predictions)} predictions; p50 {p50:.1f} ms, p99 {p99:.1f} ms a frame")
+    for status, count in Counter(prediction.status for prediction in predictions).most_common():
         print(f"  {status.name}: {count}" + ("" if status is Status.OK else f"  ({status.advice})"))
 
 
-def _summary_only(prediction: Prediction) -> Prediction:
+def _one_scene(recordings: Sequence[Recording], path: Path) -> Sequence[Recording]:
+    """Recordings made at the same time, of one person each.
+
+    Raises:
+        OptionError: they are not.
+    """
+    if len({recording.source for recording in recordings}) > 1:
+        names = listed([recording.name for recording in recordings])
+        raise OptionError(f"{path}: holds {len(recordings)} recordings ({names}); predict takes one")
+    return recordings
+
+
+def _without_samples(prediction: Prediction) -> Prediction:
     """Without samples and density, so that a long recording fits in memory."""
-    return Prediction(
-        stamp=prediction.stamp, times=prediction.times, samples=prediction.samples[:0], mean=prediction.mean,
-        covariance=prediction.covariance, joints=prediction.joints, person=prediction.person,
-        status=prediction.status, diagnostics=prediction.diagnostics,
-    )  # fmt: skip
+    return replace(prediction, samples=prediction.samples[:0], density=None)
 
 
-def _rows(predictions: list[Prediction], source: Path, predictor: Predictor) -> Rows:
+def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor) -> Rows:
+    """The table of all predictions."""
     joints = predictions[0].joints
-    steps = [len(prediction.times) for prediction in predictions]
-    upper = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+    steps = np.array([len(prediction.times) for prediction in predictions])
+    each = steps * len(joints)
     covariance = np.concatenate([prediction.covariance.reshape(-1, 3, 3) for prediction in predictions])
-    person = [prediction.person for prediction in predictions]
-    status = [prediction.status.name for prediction in predictions]
-    each = np.array(steps) * len(joints)
     return Rows(
         stamp=np.repeat(np.concatenate([prediction.times for prediction in predictions]), len(joints)),
-        person=Words.of(np.repeat(person, each).tolist()),
-        joint=Words.of(joints * sum(steps)),
+        person=_repeated([prediction.person for prediction in predictions], each),
+        joint=_repeated(joints * int(steps.sum()), np.ones(len(covariance), dtype=int)),
         position=np.concatenate([prediction.mean.reshape(-1, 3) for prediction in predictions]),
-        covariance=np.stack([covariance[:, a, b] for a, b in upper], axis=1),
-        label=Words.of(np.repeat(status, each).tolist()),
-        metadata={
-            "what": "predictions",
-            "source": source.name,
-            "rate": 1.0 / predictor.method.dt,
-            "made": [prediction.stamp for prediction in predictions],
-            "instants": steps,
-        },
+        covariance=covariance[:, *UPPER_TRIANGLE],
+        label=_repeated([prediction.status.name for prediction in predictions], each),
+        made=np.repeat([prediction.stamp for prediction in predictions], each),
+        metadata={"what": "predictions", "source": source.name, "rate": 1.0 / predictor.method.dt},
     )
+
+
+def _repeated(words: Sequence[str], times: np.ndarray) -> Words:
+    """A column of words, each so many times."""
+    once = Words.of(words)
+    return Words(once.names, np.repeat(once.codes, times))

@@ -34,7 +34,7 @@ def measured_rate(stamps: Float[np.ndarray, " N"]) -> float:
     return float(1.0 / np.median(np.diff(stamps))) if len(stamps) > 1 else float("nan")
 
 
-def resample(recording: Recording, rate: float) -> Recording:
+def resample(recording: Recording, rate: float, *, smooth: bool = True) -> Recording:
     """The recording on uniform stamps, `rate` frames per second, starting at its first frame.
 
     Downwards, each new position is a local quadratic fit to the frames around it, under Gaussian weights:
@@ -45,6 +45,8 @@ def resample(recording: Recording, rate: float) -> Recording:
     Args:
         recording: at any rate, stamps as uneven as they are.
         rate: frames per second [Hz].
+        smooth: downwards, against aliasing. It looks up to two new frames ahead, so what a predictor is scored on
+            is sampled without it, by linear interpolation.
 
     Returns:
         The resampled recording; the same positions, bit by bit, where the stamps are uniform at this rate.
@@ -66,7 +68,7 @@ def resample(recording: Recording, rate: float) -> Recording:
     stamps = recording.stamps[0] + np.arange(count) / rate
     if count == len(recording.stamps) and np.abs(stamps - recording.stamps).max() < 1e-6:
         return replace(recording, rate=rate)
-    width = WIDTH / rate if rate < SMOOTH_BELOW * source_rate else 0.0
+    width = WIDTH / rate if smooth and rate < SMOOTH_BELOW * source_rate else 0.0
     positions = np.full((count, len(recording.joints), 3), np.nan)
     _resample(
         np.ascontiguousarray(recording.positions),

@@ -169,8 +169,9 @@ def all_windows(recordings: Iterable[Recording], options: WindowOptions) -> Iter
     for recording in recordings:
         names.append(recording.name)
         labels |= set(recording.labels or ())
-        resampled = resample(recording, options.rate)
-        truth = resample(repair(recording)[0], options.rate) if options.mend_future else resampled
+        # Smoothing would let the window see ahead.
+        resampled = resample(recording, options.rate, smooth=False)
+        truth = resample(repair(recording)[0], options.rate, smooth=False) if options.mend_future else resampled
         cut = _cut(resampled, options, truth)
         if len(cut):
             found += len(cut)

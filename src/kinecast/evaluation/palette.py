@@ -30,19 +30,19 @@ GREY, GOLD, GREEN, PINK, ORANGE, RED, SKY, BLUE, VIOLET = (
 )  # fmt: skip
 
 METHODS = {
-    "zero_velocity": MethodStyle(GREY, "o", (1, 2)),
-    "constant_velocity": MethodStyle(GREY, "s", (4, 2)),
+    "zero_velocity": MethodStyle(GREY, "o", (1.0, 2.0)),
+    "constant_velocity": MethodStyle(GREY, "s", (4.0, 2.0)),
     "damped_velocity": MethodStyle(GREY, "D"),
     "kalman": MethodStyle(GOLD, "v"),
     "ridge": MethodStyle(GREEN, "^"),
-    "gp_xyz": MethodStyle(PINK, "P", (6, 2)),
-    "gp_angles": MethodStyle(ORANGE, "X", (6, 2)),
+    "gp_xyz": MethodStyle(PINK, "P", (6.0, 2.0)),
+    "gp_angles": MethodStyle(ORANGE, "X", (6.0, 2.0)),
     "gp_constrained": MethodStyle(RED, "*"),
     "kinecast": MethodStyle(BLUE, "o", width=2.6),
 }
 SPARE = tuple(
     MethodStyle(colour, marker, dashes)
-    for dashes in ((), (2, 1.5))
+    for dashes in ((), (2.0, 1.5))
     for colour, marker in ((SKY, "h"), (VIOLET, "d"), (GREEN, "<"), (PINK, ">"), (GOLD, "p"))
 )
 
@@ -53,5 +53,5 @@ def method_style(name: str) -> MethodStyle:
         return METHODS[name]
     base = METHODS.get(name.removesuffix("_constrained"))
     if base is not None:
-        return MethodStyle(base.colour, base.marker, (3, 1.5), base.width)
+        return MethodStyle(base.colour, base.marker, (3.0, 1.5), base.width)
     return SPARE[zlib.crc32(name.encode()) % len(SPARE)]

@@ -251,7 +251,7 @@ def _samples(axes: Axes, camera: Camera, moment: Moment, shown: int, scale: floa
     count, steps = samples.shape[:2]
     outside = np.zeros((count, steps, 6), bool)
     if moment.outside is not None:
-        outside |= moment.outside[::every].reshape(count, steps, -1)
+        outside |= np.atleast_3d(moment.outside[::every])
     faint = min(1.0, 30.0 / max(count, 1))
     for wrist in WRISTS:
         broken = np.maximum.accumulate(outside[..., wrist - 2 : wrist + 1].any(axis=-1), axis=1)
@@ -267,7 +267,7 @@ def _samples(axes: Axes, camera: Camera, moment: Moment, shown: int, scale: floa
             ends, bad = paths[:, shown + 1], broken[:, shown]
             colour = AHEAD((shown + 1) / steps)
             axes.plot(*ends[~bad].T, "o", color=colour, ms=3 * scale, mew=0, alpha=0.4, zorder=4)
-            axes.plot(*ends[bad].T, "x", color=RED, ms=5 * scale, mew=1.2 * scale, alpha=0.85, zorder=7)
+            axes.plot(*ends[bad].T, "x", color=RED, ms=5 * scale, mew=1.2 * scale, alpha=0.85, zorder=8)
 
 
 def _mean(axes: Axes, camera: Camera, moment: Moment, shown: int, scale: float) -> None:
@@ -300,7 +300,7 @@ def _arms(
     width: float,
     *,
     alpha: float = 1.0,
-    zorder: float = 6.5,
+    zorder: int = 7,
     halo: bool = False,
     joints: bool = False,
     dashed: bool = False,

@@ -10,6 +10,7 @@ import html
 import io
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -181,12 +182,13 @@ def plot_violations(violations: Mapping[str, Mapping[str, float | None]], truth:
         panels = figure.subplots(1, 3, sharey=True)
         for axes, (kind, title) in zip(panels, kinds.items(), strict=True):
             percent = 100 * _floats([shares.get(kind) for shares in rows.values()])
-            largest = np.nanmax(percent, initial=0.0)
-            for row, (name, value) in enumerate(zip(rows, percent, strict=True)):
+            largest = np.max(percent, where=np.isfinite(percent), initial=0.0)
+            drawn = np.where(np.isfinite(percent), percent, 0.0)
+            for row, name in enumerate(rows):
                 face, edge = ("none", INK) if row == 0 else (method_style(name).colour, "none")
-                axes.barh(row, np.nan_to_num(value), height=0.62, facecolor=face, edgecolor=edge)
+                axes.barh(row, drawn[row], height=0.62, facecolor=face, edgecolor=edge)
                 axes.annotate(
-                    _percent(value), (np.nan_to_num(value), row), (4, 0), textcoords="offset points",
+                    _percent(percent[row]), (drawn[row], row), (4, 0), textcoords="offset points",
                     va="center", fontsize=8.5,
                 )  # fmt: skip
             axes.set_xlim(0, 1.3 * largest or 1.0)
@@ -227,9 +229,14 @@ def figure_svg(figure: Chart, title: str) -> str:
 
 def drawable(text: str) -> str:
     """The text with what the font cannot draw, control characters included, as boxes."""
-    font = get_font(findfont(STYLE["font.family"][0]))
-    known = font.get_charmap()
+    known = _letters()
     return "".join(letter if letter.isprintable() and ord(letter) in known else "□" for letter in text)
+
+
+@cache
+def _letters() -> frozenset[int]:
+    """Code points the font can draw."""
+    return frozenset(get_font(findfont(STYLE["font.family"][0])).get_charmap())
 
 
 def _over_horizon(

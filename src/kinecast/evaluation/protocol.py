@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.evaluation.bootstrap import block_bootstrap
 from kinecast.evaluation.metrics import LEVELS, crps, energy_score, is_moving, joint_errors, kde_nll, regions
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.forecast import Forecast, Method
+from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with
 from kinecast.prediction.observation import Observation
 
 __all__ = ["EvaluationOptions", "TestRecording", "evaluate"]
@@ -34,6 +34,9 @@ class TestRecording:
         name: of the recording.
         observations: W windows as a predictor sees them online.
         future: (W, T, 6, 3) what was measured next [m], NaN where it was not.
+        frames: (W,) index of each window's last frame.
+        history: every frame from the first full window on, those to be scored among them: its index, the window that
+            ends with it, and (6, 3) what was measured [m], NaN where it was not.
     """
 
     __test__ = False  # not a pytest class
@@ -41,6 +44,8 @@ class TestRecording:
     name: str
     observations: Sequence[Observation]
     future: Float[np.ndarray, "W T 6 3"]
+    frames: Int[np.ndarray, " W"]
+    history: Sequence[tuple[int, Observation, Float[np.ndarray, "6 3"]]] = ()
 
 
 @dataclass(frozen=True)
@@ -102,9 +107,9 @@ def evaluate(
     observations = [observation for recording in recordings for observation in recording.observations]
     future = np.concatenate([recording.future for recording in recordings])
     moving = np.array([is_moving(o.positions, o.dt) for o in observations])
-    rows = np.unique(np.linspace(0, len(observations) - 1, min(options.repeat_windows, len(observations))).astype(int))
-    total = len(methods) * (len(observations) + options.repeats * len(rows))
-    done = 0
+    again = np.linspace(0, len(observations) - 1, min(options.repeat_windows, len(observations))).astype(int)
+    repeated = set(again.tolist()) if options.repeats else set()
+    total, done = len(methods) * len(observations), 0
 
     truth_broken = np.array(
         [_violations(truth[None], o, scene, options.limits) for truth, o in zip(future, observations, strict=True)]
@@ -113,29 +118,25 @@ def evaluate(
     histograms: dict[str, Float[np.ndarray, " K"]] = {}
     for name, method in methods.items():
         scores = _Scores()
+        repeats = []
         rng = np.random.default_rng(options.seed)
         # Compiling is not predicting: the first call is not timed.
         method.forecast(observations[0], np.random.default_rng(0), options.samples, scene)
-        for observation, truth in zip(observations, future, strict=True):
+        forecasters = (forecaster for recording in recordings for forecaster in _in_turn(method, recording))
+        for row, (seconds, memory) in enumerate(forecasters):
+            observation, truth = observations[row], future[row]
             started = time.perf_counter()
-            forecast = method.forecast(observation, rng, options.samples, scene)
-            scores.seconds.append(time.perf_counter() - started)
+            forecast = forecast_with(method, memory, observation, rng, options.samples, scene)
+            scores.seconds.append(seconds + time.perf_counter() - started)
             _score(scores, forecast, observation, truth, scene, options)
+            if row in repeated:
+                fresh = [np.random.default_rng([options.seed, k, row]) for k in range(options.repeats)]
+                drawn = [forecast_with(method, memory, observation, each, options.samples, scene) for each in fresh]
+                repeats.append([np.nanmean(-each.density.log_prob(truth)) / NLL_JOINTS for each in drawn])
             done += 1
             if progress:
                 progress(done, total)
-        repeats = []
-        for repeat in range(options.repeats):
-            rng = np.random.default_rng([options.seed, repeat + 1])
-            nll = []
-            for row in rows:
-                forecast = method.forecast(observations[row], rng, options.samples, scene)
-                nll.append(-forecast.density.log_prob(future[row]) / NLL_JOINTS)
-                done += 1
-                if progress:
-                    progress(done, total)
-            repeats.append(np.nanmean(nll))
-        histograms[name] = np.array(repeats)
+        histograms[name] = np.mean(repeats, axis=0) if repeats else np.empty(0)
         results[name] = _summary(scores, owner, [r.name for r in recordings], moving, options)
     names = ("position", "speed", "scene")
     broken = truth_broken.mean(axis=0) if len(truth_broken) else np.zeros(3)
@@ -143,6 +144,24 @@ def evaluate(
         "ground_truth_violations": dict(zip(names, broken.tolist(), strict=True)),
         "methods": results,
     }, histograms
+
+
+def _in_turn(method: Method, recording: TestRecording) -> Iterator[tuple[float, Any]]:
+    """For each window to be scored, in order: seconds spent on following the person, and what is remembered.
+
+    A method that follows the person sees every frame up to the window's last, and none after it.
+    """
+    if not isinstance(method, Follower):
+        for _ in recording.observations:
+            yield 0.0, None
+        return
+    memory = method.memory()
+    scored = set(recording.frames.tolist())
+    for frame, observation, measured in recording.history:
+        started = time.perf_counter()
+        method.follow(memory, observation, measured)
+        if frame in scored:
+            yield time.perf_counter() - started, memory
 
 
 def _score(

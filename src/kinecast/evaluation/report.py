@@ -81,7 +81,7 @@ def write_report(
     settings = mapping(metrics, "settings")
     names = list(dict.fromkeys(name for each in methods.values() for name in mapping(each, "recordings")))
     horizon = settings.get("horizon")
-    horizon = horizon if isinstance(horizon, int | float) and horizon > 0 else None
+    horizon = float(horizon) if isinstance(horizon, int | float) and horizon > 0 else None
     windows = _windows(methods)
     body = [
         "<h1>Where arms will be: an evaluation</h1>",

@@ -16,7 +16,7 @@ from kinecast.evaluation.pictures import Moment, draw_prediction
 from kinecast.evaluation.protocol import EvaluationOptions, Progress, TestRecording, evaluate
 from kinecast.evaluation.report import write_report
 from kinecast.geometry.scene import Scene
-from kinecast.pipeline import observations
+from kinecast.pipeline import followed, observations
 from kinecast.prediction.forecast import Method
 
 __all__ = ["run_evaluation"]
@@ -26,6 +26,7 @@ def run_evaluation(
     out: Path,
     methods: Mapping[str, Method],
     parts: Sequence[Windows],
+    histories: Sequence[Windows],
     scene: Scene | None,
     options: EvaluationOptions,
     settings: Mapping[str, Any],
@@ -37,6 +38,8 @@ def run_evaluation(
         out: folder for metrics.json, report.html, prediction.png and prediction.gif.
         methods: by name; the last one is drawn.
         parts: test windows, one entry per recording.
+        histories: the windows that end with each of its frames (`WindowOptions.every_frame`), for methods that follow
+            the person; by name.
         scene: obstacles; None for none.
         options: see EvaluationOptions.
         settings: what to say about the run, JSON values.
@@ -45,7 +48,11 @@ def run_evaluation(
     Returns:
         What metrics.json holds.
     """
-    recordings = [TestRecording(part.name, observations(part), part.future) for part in parts]
+    every = {history.name: history for history in histories}
+    recordings = [
+        TestRecording(part.name, observations(part), part.future, part.frames, followed(every[part.name]))
+        for part in parts
+    ]
     results, histograms = evaluate(methods, recordings, scene, options, progress)
     metrics: dict[str, Any] = {
         "settings": {

@@ -56,8 +56,7 @@ class Camera:
 
     def depth(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b"]:
         """(…) how much nearer to the viewer than the origin [m]."""
-        near: np.ndarray = (points - self.origin) @ self.axes[2]
-        return near
+        return np.asarray((points - self.origin) @ self.axes[2])
 
     def towards(self, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
         """Direction from a point to the viewer."""

@@ -123,7 +123,8 @@ def write_checkpoint(path: Path, card: ModelCard, arrays: dict[str, np.ndarray])
         raise ModelError(f"{path}: cannot write ({error.strerror})") from None
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **stored)  # type: ignore[arg-type]
+            np.savez_compressed(file, allow_pickle=False, **stored)
+        os.chmod(name, 0o644)  # mkstemp's is for its owner alone
         os.replace(name, path)
     except BaseException:
         Path(name).unlink(missing_ok=True)

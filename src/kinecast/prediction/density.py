@@ -84,14 +84,20 @@ class PositionGaussianDensity:
 
 def gaussian_blocks(error: Float[np.ndarray, "T 18"], cholesky: Float[np.ndarray, "T 18 18"]) -> Blocks:
     """(T, 3) log density of each six-dimensional block of a Gaussian given the blocks before it."""
-    white = np.stack([_solve(factor, row) for factor, row in zip(cholesky, error, strict=True)])
+    white = whiten(error, cholesky)
     diagonal = np.log(np.diagonal(cholesky, axis1=1, axis2=2))
     terms = -0.5 * white**2 - diagonal - 0.5 * np.log(2 * np.pi)
     return terms.reshape(-1, 3, 6).sum(axis=2)
 
 
-def _solve(factor: Float[np.ndarray, "D D"], row: Float[np.ndarray, " D"]) -> Float[np.ndarray, " D"]:
-    return np.asarray(solve_triangular(factor, row, lower=True, check_finite=False))
+def whiten(error: Float[np.ndarray, "T D"], cholesky: Float[np.ndarray, "T D D"]) -> Float[np.ndarray, "T D"]:
+    """(T, D) errors in units of unit spread: the factor's inverse times each."""
+    return np.stack(
+        [
+            solve_triangular(factor, row, lower=True, check_finite=False)
+            for factor, row in zip(cholesky, error, strict=True)
+        ]
+    )
 
 
 def log_allowed(allowance: Allowance | None, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"] | float:

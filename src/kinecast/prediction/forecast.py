@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +13,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation
 from kinecast.types import Density
 
-__all__ = ["Forecast", "Method", "WorldDensity", "within_scene"]
+__all__ = ["Follower", "Forecast", "Method", "WorldDensity", "forecast_with", "within_scene"]
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Forecast:
         density: the exact density at each step.
         accepted: (T,) share of drawn motions still inside the scene's free space at each step; 1 without one.
         distinct: number of distinct motions among the samples.
+        diagnostics: what else the method says of itself, e.g. `learned_share`.
     """
 
     samples: Float[np.ndarray, "S T 6 3"]
@@ -32,6 +34,7 @@ class Forecast:
     density: Density
     accepted: Float[np.ndarray, " T"]
     distinct: int
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def blocked(self) -> bool:
@@ -74,6 +77,39 @@ class Method(Protocol):
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Everything the method needs, as plain arrays."""
         ...
+
+
+@runtime_checkable
+class Follower(Method, Protocol):
+    """A method that learns from the person in view, frame by frame; its `forecast` takes that memory last."""
+
+    def memory(self) -> Any:
+        """Nothing remembered yet of a person."""
+        ...
+
+    def follow(self, memory: Any, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> None:
+        """Takes in one frame, dt after the last one.
+
+        Args:
+            memory: of this person; changed.
+            observation: the window that ends with this frame.
+            measured: (6, 3) the frame as measured [m], NaN where it was not.
+        """
+        ...
+
+
+def forecast_with(
+    method: Method,
+    memory: Any,
+    observation: Observation,
+    rng: np.random.Generator,
+    samples: int,
+    scene: Scene | None,
+) -> Forecast:
+    """The forecast of any method, with what it remembers of the person; None where it remembers nothing."""
+    if memory is None:
+        return method.forecast(observation, rng, samples, scene)
+    return method.forecast(observation, rng, samples, scene, memory)  # type: ignore[call-arg]
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from kinecast.prediction.baselines import constant_velocity, damped_velocity, fi
 from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian
+from kinecast.prediction.horizon.method import horizon_from_arrays
+from kinecast.prediction.horizon.training import HorizonOptions, fit_horizon
 from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
@@ -45,6 +47,7 @@ METHODS: Mapping[str, str] = {
     "gp_xyz": "the paper's: one sparse GP per position coordinate",
     "gp_angles": "the paper's: one sparse GP per joint angle",
     "gp_constrained": "the paper's: the same, inside joint limits and scene",
+    "kinecast": "the project's own: experts mixed online, calibrated, inside joint limits and scene",
 }
 """Every method and what it does."""
 
@@ -102,6 +105,9 @@ def train(
         elif name in ("gp_angles", "gp_constrained"):
             angles = angles or PostureSeries.fit(windows, options, noise, progress)
             trained[name] = angles.with_limits(limits if name == "gp_constrained" else None)
+        elif name == "kinecast":
+            own = HorizonOptions(seed=options.seed)
+            trained[name] = fit_horizon(windows, limits, noise, own, progress)
         else:
             base, _, space = name.partition("_") if name.endswith(("_angles", "_constrained")) else (name, "", "")
             fit = _fit(base, windows)
@@ -185,6 +191,8 @@ def read_method(path: Path) -> tuple[ModelCard, Method]:
 
 def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method:
     shape = (card.frames, card.steps, card.dt)
+    if card.method == "kinecast":
+        return horizon_from_arrays(arrays, *shape, card.noise, card.limits)
     limits = card.limits if card.method.endswith("_constrained") else None
     if card.method == "gp_xyz":
         return PositionSeries.from_arrays(arrays, *shape)

@@ -7,11 +7,11 @@ or faces.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.scene import Scene
@@ -92,8 +92,10 @@ class TrainingWindows:
         observed: (W, N, 6, 3) arm joints in the world [m], repaired, no NaN.
         future: (W, T, 6, 3) what was measured next [m], no NaN.
         up: (W, 3) direction up the torso at the last observed frame.
-        recording: (W,) index of the recording each window comes from: folds are made of whole recordings.
+        recording: (W,) index of the recording each window comes from.
         dt: time between frames [s].
+        frame: (W,) index in its recording of each window's last observed frame.
+        group: (W,) what is left out together in folds: a task, or a recording.
     """
 
     observed: Float[np.ndarray, "W N 6 3"]
@@ -101,6 +103,8 @@ class TrainingWindows:
     up: Float[np.ndarray, "W 3"]
     recording: Int[np.ndarray, " W"]
     dt: float
+    frame: Int[np.ndarray, " W"]
+    group: Int[np.ndarray, " W"]
 
     def __len__(self) -> int:
         return len(self.observed)
@@ -117,7 +121,15 @@ class TrainingWindows:
 
     def take(self, rows: Int[np.ndarray, " K"]) -> TrainingWindows:
         """Some of the windows."""
-        return TrainingWindows(self.observed[rows], self.future[rows], self.up[rows], self.recording[rows], self.dt)
+        return replace(
+            self,
+            observed=self.observed[rows],
+            future=self.future[rows],
+            up=self.up[rows],
+            recording=self.recording[rows],
+            frame=self.frame[rows],
+            group=self.group[rows],
+        )
 
     def outside(self, scene: Scene) -> TrainingWindows:
         """Only the windows that end with both arms free of obstacles."""
@@ -125,17 +137,28 @@ class TrainingWindows:
         return self.take(np.flatnonzero(free))
 
     def folds(self, count: int) -> Int[np.ndarray, " W"]:
-        """(W,) fold of each window: whole recordings where there are enough, else contiguous blocks of time."""
-        recordings = np.unique(self.recording)
-        if len(recordings) >= count:
-            sizes = np.array([np.count_nonzero(self.recording == r) for r in recordings])
-            fold_of: dict[int, int] = {}
-            load = np.zeros(count)
-            for k in np.argsort(-sizes, kind="stable"):
-                fold_of[int(recordings[k])] = int(np.argmin(load))
-                load[np.argmin(load)] += sizes[k]
-            return np.array([fold_of[int(r)] for r in self.recording])
-        return np.minimum(np.arange(len(self)) * count // max(len(self), 1), count - 1)
+        """(W,) fold of each window: whole groups where there are two or more, else blocks of time."""
+        groups, sizes = np.unique(self.group, return_counts=True)
+        if len(groups) < 2:
+            return np.minimum(np.arange(len(self)) * count // max(len(self), 1), count - 1)
+        fold_of: dict[int, int] = {}
+        load = np.zeros(min(count, len(groups)))
+        for k in np.argsort(-sizes, kind="stable"):
+            fold_of[int(groups[k])] = int(np.argmin(load))
+            load[np.argmin(load)] += sizes[k]
+        return np.array([fold_of[int(group)] for group in self.group])
+
+    def near(self, chosen: Bool[np.ndarray, " W"]) -> Bool[np.ndarray, " W"]:
+        """(W,) windows that share a frame with a chosen one."""
+        reach = self.observed.shape[1] + self.future.shape[1]
+        near = np.zeros(len(self), dtype=bool)
+        for recording in np.unique(self.recording[chosen]):
+            here = self.recording == recording
+            frames = np.sort(self.frame[here & chosen])
+            after = np.searchsorted(frames, self.frame[here] - reach, side="right")
+            before = np.searchsorted(frames, self.frame[here] + reach, side="left")
+            near[here] = before > after
+        return near
 
     def _to_torso(self, positions: Float[np.ndarray, "W K 6 3"]) -> Float[np.ndarray, "W K 6 3"]:
         rotation, origin = reference_frame(self.observed[:, -1], self.up)

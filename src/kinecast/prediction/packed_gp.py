@@ -20,8 +20,12 @@ from kinecast.prediction.sparse_gp import SparseGP
 
 __all__ = ["PackedGPs", "pack", "predict_one", "scratch"]
 
-LANES = 8
-"""M is padded to a multiple of this many doubles, one AVX-512 register."""
+LANES = 16
+"""M is padded to a multiple of this, so that no vector loop leaves a remainder."""
+OFFSET, PRIOR, NOISE, INPUTS = 0, 1, 2, 3
+"""Columns of a header: output mean, signal and noise variance, then D input means and D rates."""
+BIAS, WEIGHTS, CENTRES = 0, 1, 2
+"""Rows of a table: exponent without the input, weights of the mean, D rows of centres, M rows of the factor."""
 
 # exp(128 s − 16) for s in [−1/8, 1/8], that is exp on [−32, 0]: a polynomial in s, then seven squarings.
 SQUARINGS = 7
@@ -29,38 +33,22 @@ HALF_RANGE = 0.125
 _POLYNOMIAL = np.polynomial.Chebyshev.interpolate(
     lambda s: np.exp(s - HALF_RANGE), 8, domain=[-HALF_RANGE, HALF_RANGE]
 )  # fmt: skip
-C0, C1, C2, C3, C4, C5, C6, C7, C8 = (
-    float(c) for c in _POLYNOMIAL.convert(kind=np.polynomial.Polynomial).coef
-)
+C0, C1, C2, C3, C4, C5, C6, C7, C8 = (float(c) for c in _POLYNOMIAL.convert(kind=np.polynomial.Polynomial).coef)
 
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 """Sums may be reordered, which vector instructions need; NaN still goes through."""
 
 
 class PackedGPs(NamedTuple):
-    """B scalar sparse GPs with D inputs; M padded. Built by `pack`, read by `predict_one`.
+    """B scalar sparse GPs with D inputs, M pseudo-inputs after padding. Built by `pack`, read by `predict_one`.
 
     Attributes:
-        shift: (B, D) input means.
-        rate: (B, D) factors that take a shifted input to the units of `centres`.
-        centres: (B, D, M) pseudo-inputs, scaled and doubled.
-        bias: (B, M) what the exponent holds besides the input.
-        weights: (B, M) of the mean, in output units.
-        factors: (B, M, M) of the variance, lower triangular, in output units.
-        offset: (B,) output means.
-        prior: (B,) signal variances, in output units.
-        noise: (B,) noise variances, in output units.
+        header: (B, 3 + 2 D) numbers that stand alone, in output units: columns OFFSET, PRIOR, NOISE, INPUTS….
+        table: (B, 2 + D + M, M) one number per pseudo-input in each row: rows BIAS, WEIGHTS, CENTRES….
     """
 
-    shift: Float[np.ndarray, "B D"]
-    rate: Float[np.ndarray, "B D"]
-    centres: Float[np.ndarray, "B D M"]
-    bias: Float[np.ndarray, "B M"]
-    weights: Float[np.ndarray, "B M"]
-    factors: Float[np.ndarray, "B M M"]
-    offset: Float[np.ndarray, " B"]
-    prior: Float[np.ndarray, " B"]
-    noise: Float[np.ndarray, " B"]
+    header: Float[np.ndarray, "B H"]
+    table: Float[np.ndarray, "B R M"]
 
 
 def pack(models: Sequence[SparseGP]) -> PackedGPs:
@@ -80,42 +68,34 @@ def pack(models: Sequence[SparseGP]) -> PackedGPs:
             )
     widest = max(len(model.pseudo_inputs) for model in models)
     padded = -(-widest // LANES) * LANES
-    centres = np.zeros((len(models), dimension, padded))
-    bias = np.full((len(models), padded), -1.0)  # padding: far away from any input
-    weights = np.zeros((len(models), padded))
-    factors = np.zeros((len(models), padded, padded))
+    header = np.empty((len(models), INPUTS + 2 * dimension))
+    table = np.zeros((len(models), CENTRES + dimension + padded, padded))
+    table[:, BIAS] = -1.0  # padding: far away from any input
     unit = 1.0 / math.sqrt(2.0 * 2**SQUARINGS)  # −½ |x − z|² / 2⁷ = −|unit x − unit z|²
-    for b, model in enumerate(models):
+    for model, head, rows in zip(models, header, table, strict=True):
         count = len(model.pseudo_inputs)
         scaled = unit * model.pseudo_inputs / model.kernel.lengthscales
-        gain = model.kernel.signal_variance * model.outputs.sd[0]
-        centres[b, :, :count] = 2.0 * scaled.T
-        bias[b, :count] = HALF_RANGE - np.square(scaled).sum(axis=1)
-        weights[b, :count] = gain * model.weights[:, 0]
-        factors[b, :count, :count] = gain * model.factor
-    squared = np.array([model.outputs.sd[0] ** 2 for model in models])
-    return PackedGPs(
-        shift=np.stack([model.inputs.mean for model in models]),
-        rate=np.stack([unit / (model.inputs.sd * model.kernel.lengthscales) for model in models]),
-        centres=centres,
-        bias=bias,
-        weights=weights,
-        factors=factors,
-        offset=np.array([model.outputs.mean[0] for model in models]),
-        prior=np.array([model.kernel.signal_variance for model in models]) * squared,
-        noise=np.array([model.noise_variance for model in models]) * squared,
-    )
+        signal, sd = model.kernel.signal_variance, model.outputs.sd[0]
+        head[:INPUTS] = model.outputs.mean[0], signal * sd**2, model.noise_variance * sd**2
+        head[INPUTS : INPUTS + dimension] = model.inputs.mean
+        head[INPUTS + dimension :] = unit / (model.inputs.sd * model.kernel.lengthscales)
+        rows[BIAS, :count] = HALF_RANGE - np.square(scaled).sum(axis=1)
+        rows[WEIGHTS, :count] = signal * sd * model.weights[:, 0]
+        rows[CENTRES : CENTRES + dimension, :count] = 2.0 * scaled.T
+        factor = rows[CENTRES + dimension :]
+        factor[:count, :count] = signal * sd * model.factor.T
+    return PackedGPs(header, table)
 
 
 @njit(cache=True)
-def scratch(gps: PackedGPs) -> Float[np.ndarray, "2 M"]:
+def scratch(gps: PackedGPs) -> Float[np.ndarray, " M"]:
     """Working memory for `predict_one`: one per thread, made outside the loop."""
-    return np.empty((2, gps.bias.shape[1]))
+    return np.empty(gps.table.shape[2])
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def predict_one(
-    gps: PackedGPs, which: int, x: Float[np.ndarray, " D"], memory: Float[np.ndarray, "2 M"]
+    gps: PackedGPs, which: int, x: Float[np.ndarray, " D"], memory: Float[np.ndarray, " M"]
 ) -> tuple[float, float]:
     """Mean and variance, the noise included, of one of the GPs at one input.
 
@@ -129,22 +109,22 @@ def predict_one(
         Mean and variance in the units of the model's output; they equal `SparseGP.predict` to 1e-8 of the signal's
         standard deviation.
     """
-    dimension, count = gps.centres.shape[1:]
-    k, explained = memory[0], memory[1]
-    bias, weights, factors = gps.bias[which], gps.weights[which], gps.factors[which]
+    header, table = gps
+    count = table.shape[2]
+    dimension = (header.shape[1] - INPUTS) // 2
     norm = 0.0
     for d in range(dimension):
-        norm += ((x[d] - gps.shift[which, d]) * gps.rate[which, d]) ** 2
+        norm += ((x[d] - header[which, INPUTS + d]) * header[which, INPUTS + dimension + d]) ** 2
     for m in range(count):
-        k[m] = bias[m] - norm
+        memory[m] = table[which, BIAS, m] - norm
     for d in range(dimension):
-        scaled = (x[d] - gps.shift[which, d]) * gps.rate[which, d]
-        centres = gps.centres[which, d]
+        scaled = (x[d] - header[which, INPUTS + d]) * header[which, INPUTS + dimension + d]
         for m in range(count):
-            k[m] += scaled * centres[m]
-    mean = gps.offset[which]
+            memory[m] += scaled * table[which, CENTRES + d, m]
+
+    mean = header[which, OFFSET]
     for m in range(count):
-        s = k[m]
+        s = memory[m]
         s = -HALF_RANGE if s < -HALF_RANGE else s  # exp(−32) is nothing
         e = C0 + s * (C1 + s * (C2 + s * (C3 + s * (C4 + s * (C5 + s * (C6 + s * (C7 + s * C8)))))))
         e *= e
@@ -154,15 +134,21 @@ def predict_one(
         e *= e
         e *= e
         e *= e
-        k[m] = e
-        explained[m] = 0.0
-        mean += e * weights[m]
-    for m in range(0, count, 4):  # Uᵀ k, four rows of U at a time, up to the block of the diagonal
-        k0, k1, k2, k3 = k[m], k[m + 1], k[m + 2], k[m + 3]
-        row0, row1, row2, row3 = factors[m], factors[m + 1], factors[m + 2], factors[m + 3]
-        for j in range((m // LANES + 1) * LANES):
-            explained[j] += k0 * row0[j] + k1 * row1[j] + k2 * row2[j] + k3 * row3[j]
-    variance = gps.prior[which]
-    for m in range(count):
-        variance -= explained[m] * explained[m]
-    return mean, max(variance, 0.0) + gps.noise[which]
+        memory[m] = e  # k(x, z_m) / σf²
+        mean += e * table[which, WEIGHTS, m]
+
+    # |Uᵀ k|², four rows of Uᵀ at a time, from the diagonal on. Indices are unsigned because a signed one that might
+    # be negative costs a check per element, and with it the vector instructions.
+    variance = header[which, PRIOR]
+    for row in range(0, count, 4):
+        r0 = np.uint64(CENTRES + dimension + row)
+        r1, r2, r3 = r0 + np.uint64(1), r0 + np.uint64(2), r0 + np.uint64(3)
+        u0 = u1 = u2 = u3 = 0.0
+        for m in range(np.uint64(row // LANES * LANES), np.uint64(count)):
+            k = memory[m]
+            u0 += table[which, r0, m] * k
+            u1 += table[which, r1, m] * k
+            u2 += table[which, r2, m] * k
+            u3 += table[which, r3, m] * k
+        variance -= u0 * u0 + u1 * u1 + u2 * u2 + u3 * u3
+    return mean, max(variance, 0.0) + header[which, NOISE]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, qr, solve_triangular
 
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.kernels import RBF
@@ -146,6 +146,7 @@ class SparseGP:
         shares, axes = np.linalg.eigh(inner)
         explained = axes * np.sqrt(np.maximum(1.0 - 1.0 / shares, 0.0))  # I − B⁻¹, its square root
         factor = solve_triangular(root.T, explained, check_finite=False)
+        (triangle,) = qr(factor.T, mode="r", check_finite=False)  # the same product U Uᵀ
         return cls(
             pseudo_inputs=pseudo_inputs,
             kernel=kernel,
@@ -153,7 +154,7 @@ class SparseGP:
             inputs=input_scale,
             outputs=output_scale,
             weights=weights,
-            factor=np.linalg.qr(factor.T, mode="r").T,  # the same product U Uᵀ, triangular
+            factor=np.ascontiguousarray(triangle.T),
         )
 
     def to_arrays(self) -> dict[str, np.ndarray]:

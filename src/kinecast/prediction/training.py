@@ -209,16 +209,15 @@ def _maximise(
             best, lowest = vector.copy(), value
         return value, slope
 
-    def report(_: Float[np.ndarray, " K"]) -> None:
+    def report(xk: Float[np.ndarray, " K"]) -> None:  # noqa: ARG001, the name SciPy calls it by
         nonlocal done
         done += 1
         if progress is not None:
             progress(done, iterations)
 
-    free = (None, None)
-    bounds = [tuple(np.log(LENGTHSCALES))] * x.shape[1]
-    bounds += [tuple(np.log(SIGNAL_VARIANCES)), tuple(np.log(NOISE_VARIANCES))]
-    bounds += [free] * (len(start) - len(bounds))
+    ranges = [LENGTHSCALES] * x.shape[1] + [SIGNAL_VARIANCES, NOISE_VARIANCES]
+    bounds: list[tuple[float | None, float | None]] = [(math.log(least), math.log(most)) for least, most in ranges]
+    bounds += [(None, None)] * (len(start) - len(bounds))
     with _double_precision():
         value_and_gradient = _compiled()
         minimize(
@@ -239,11 +238,7 @@ def _double_precision() -> Any:
         import jax
     except ImportError as error:
         raise MissingExtraError("training", "train") from error
-    if hasattr(jax, "enable_x64"):
-        return jax.enable_x64(True)
-    from jax.experimental import enable_x64
-
-    return enable_x64(True)
+    return jax.enable_x64(True)
 
 
 @cache

@@ -1,0 +1,115 @@
+"""The methods an evaluation compares: trained for it, or read from model files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinecast.body.limits import JointLimits
+from kinecast.cli.progress import note, progress_bar
+from kinecast.cli.recordings import listed
+from kinecast.datasets.recording import Recording
+from kinecast.datasets.windows import WindowOptions
+from kinecast.errors import ModelError
+from kinecast.geometry.scene import Scene
+from kinecast.pipeline import training_windows
+from kinecast.prediction.checkpoint import ModelCard
+from kinecast.prediction.forecast import Method
+from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
+
+__all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known"]
+
+
+@dataclass(frozen=True)
+class Contestants:
+    """Methods for the same windows.
+
+    Attributes:
+        methods: by the name they are reported under.
+        limits: against which all their samples are counted.
+        trained_on: names of the recordings.
+        windows: what they are made for.
+    """
+
+    methods: Mapping[str, Method]
+    limits: JointLimits
+    trained_on: Sequence[str]
+    windows: WindowOptions
+
+
+def method_names(text: str) -> list[str]:
+    """Names with commas between them, each once.
+
+    Raises:
+        OptionError: one of them is no method.
+    """
+    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    check_names(names)
+    return names
+
+
+def train_methods(
+    names: Sequence[str], recordings: Sequence[Recording], options: WindowOptions, scene: Scene | None, seed: int
+) -> Contestants:
+    """Methods trained on every window of recordings, as `kinecast train` does.
+
+    Raises:
+        DatasetError, ModelError, OptionError: too few windows.
+    """
+    data = training_windows(recordings, options, scene)
+    settings = TrainingOptions(seed=seed)
+    with progress_bar("training") as progress:
+        methods = train(names, data, settings, progress)
+    return Contestants(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
+
+
+def read_models(paths: Sequence[Path], rate: float | None, window: float | None, horizon: float | None) -> Contestants:
+    """Saved models, all for the same windows.
+
+    Args:
+        paths: model files.
+        rate: that they must have [Hz]; None for their own.
+        window, horizon: that they must have [s]; None for their own.
+
+    Raises:
+        ModelError: a file is no model, or is made for other windows.
+    """
+    models = [(path, *read_method(path)) for path in paths]
+    first = models[0][1]
+    options = WindowOptions(
+        rate=first.rate if rate is None else rate,
+        window=first.frames / first.rate if window is None else window,
+        horizon=first.steps / first.rate if horizon is None else horizon,
+    )
+    wanted = (options.observed_steps, options.predicted_steps, options.rate)
+    for path, card, _ in models:
+        if (card.frames, card.steps, card.rate) != wanted:
+            raise ModelError(
+                f"{path}: made for {_windows(card.frames, card.steps, card.rate)}, not {_windows(*wanted)}"
+            )
+    cards = [card for _, card, _ in models]
+    once = [card.method for card in cards]
+    methods = {
+        card.method if once.count(card.method) == 1 else f"{card.method} ({path})": method
+        for path, card, method in models
+    }
+    trained_on = sorted({name for card in cards for name in card.trained_on})
+    return Contestants(methods, _limits(cards), trained_on, options)
+
+
+def warn_of_known(contestants: Contestants, test: Sequence[Recording]) -> None:
+    """A note where models were trained on recordings of the test recordings' names."""
+    known = [recording.name for recording in test if recording.name in contestants.trained_on]
+    if known:
+        note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
+
+
+def _limits(cards: Sequence[ModelCard]) -> JointLimits:
+    """Those that a constrained model holds itself to, else those found in training."""
+    held = [card.limits for card in cards if card.method == "kinecast" or card.method.endswith("_constrained")]
+    return (held or [cards[0].limits])[0]
+
+
+def _windows(frames: int, steps: int, rate: float) -> str:
+    return f"{frames} frames seen and {steps} predicted at {rate:g} Hz"

@@ -1,0 +1,40 @@
+"""Types of the options that several commands share: how help names them and what it says of their defaults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from kinecast.datasets.loading import FORMATS
+from kinecast.prediction.methods import METHODS
+
+__all__ = ["Action", "File", "Folder", "FormatName", "Many", "MethodName", "MethodNames", "SceneFile", "Switch", "What"]
+
+_METHODS = "\n".join(f"{name}: {about}" for name, about in METHODS.items())
+
+Many = Annotated[tuple[Path, ...], arg(metavar="PATH [PATH ...]", help_behavior_hint="")]
+What = Positional[Many]
+File = Annotated[Path, arg(metavar="FILE")]
+Folder = Annotated[Path, arg(metavar="FOLDER")]
+Switch = FlagCreatePairsOff[bool]
+SceneFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
+Action = Annotated[str | None, arg(metavar="ACTION", help_behavior_hint="(default: all)")]
+FormatName = Annotated[
+    str | None,
+    arg(
+        metavar="NAME",
+        help=f"format of the recordings: {', '.join(FORMATS)}.",
+        help_behavior_hint="(default: found by content)",
+    ),
+]
+MethodName = Annotated[str, arg(metavar="NAME", help=f"one of\n{_METHODS}")]
+MethodNames = Annotated[
+    str,
+    arg(
+        metavar="NAME,NAME,...",
+        help=f"of\n{_METHODS}",
+        help_behavior_hint=lambda default: f"(default: {default.replace(',', ', ')})",
+    ),
+]

@@ -1,0 +1,1 @@
+"""The project's own predictor: features, learned experts, memory, gate, spread, constraint, method, training."""

@@ -1,0 +1,183 @@
+"""Pictures and films of predictions: geometry of the page, odd inputs, sizes."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from PIL import Image
+
+from kinecast.errors import OptionError
+from kinecast.evaluation import animations
+from kinecast.evaluation.animations import animate_motion, animate_prediction
+from kinecast.evaluation.palette import RED
+from kinecast.evaluation.pictures import Moment, draw_prediction, perspective
+from kinecast.evaluation.scenery import OBSTACLE, Camera, draw_obstacles
+from kinecast.geometry.motion import ConstantVelocity, MovingObstacle
+from kinecast.geometry.scene import Scene
+from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+
+UP = np.array([0.0, 0.0, 1.0])
+TABLE = HalfSpace(np.array([0.0, 0.0, 0.9]), UP)
+
+
+def moment(samples: int = 20, steps: int = 3) -> Moment:
+    """Someone at (1, 2) facing +x who moves both hands forward."""
+    left = np.array([[0.0, 0.2, 1.4], [0.05, 0.25, 1.15], [0.3, 0.2, 1.1]])
+    pose = np.concatenate([left, left * (1, -1, 1)]) + np.array([1.0, 2.0, 0.0])
+    forward = 0.04 * np.array([0, 0.5, 1, 0, 0.5, 1])[:, None] * (1.0, 0.0, 0.0)
+    observed = np.stack([pose - forward, pose])
+    mean = np.stack([pose + (k + 1) * forward for k in range(steps)])
+    noise = 0.05 * np.random.default_rng(0).standard_normal((samples, steps, 6, 3))
+    return Moment(observed, mean + noise, mean, 1 / 30, truth=mean + 0.01)
+
+
+def share_of(path: Path, colour: str) -> float:
+    """Share of pixels that have nearly this colour."""
+    with Image.open(path) as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    wanted = [int(to_hex(colour)[i : i + 2], 16) for i in (1, 3, 5)]
+    return float(np.mean(np.abs(pixels - wanted).max(axis=-1) < 12))
+
+
+def test_the_picture_shows_the_person_the_table_and_what_breaks_limits(tmp_path: Path) -> None:
+    plain, full = tmp_path / "plain.png", tmp_path / "full.png"
+    draw_prediction(plain, moment())
+    outside = np.zeros((20, 3), bool)
+    outside[::2, 1] = True
+    draw_prediction(full, dataclasses.replace(moment(), outside=outside), Scene((TABLE,)), "a title")
+    draw_prediction(tmp_path / "again.png", moment())
+    assert plain.read_bytes() == (tmp_path / "again.png").read_bytes()
+    with Image.open(full) as picture:
+        assert picture.size == (1664, 944)
+    assert share_of(plain, OBSTACLE) < 1e-3 < 0.02 < share_of(full, OBSTACLE)
+    assert share_of(plain, RED) < 1e-5 < 1e-4 < share_of(full, RED)
+
+
+def odd_moments() -> dict[str, Moment]:
+    usual = moment()
+    assert usual.truth is not None
+    holed = usual.truth.copy()
+    holed[1], holed[-1, 2, 0] = np.nan, np.nan
+    joints = np.zeros((20, 3, 6), bool)
+    joints[3, 1:, 5] = True
+    unseen = usual.observed.copy()
+    unseen[0, :3] = np.nan
+    few = {"samples": usual.samples[:1], "observed": usual.observed[-1:]}
+    return {
+        "no truth or samples": dataclasses.replace(
+            usual, truth=None, samples=usual.samples[:0], outside=np.zeros((0, 3), bool)
+        ),
+        "truth with holes, limits by joint": dataclasses.replace(usual, truth=holed, outside=joints),
+        "one sample, one frame": dataclasses.replace(usual, **few),
+        "one step": dataclasses.replace(usual, samples=usual.samples[:, :1], mean=usual.mean[:1], truth=None),
+        "an arm unseen": dataclasses.replace(usual, observed=unseen),
+        "no width": dataclasses.replace(usual, observed=np.ones((2, 6, 3))),
+    }
+
+
+@pytest.mark.parametrize("name", odd_moments())
+def test_odd_moments_are_drawn(name: str, tmp_path: Path) -> None:
+    draw_prediction(tmp_path / "a.png", odd_moments()[name], title="<b> $x$ \n 漢 " + 300 * "x")
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_a_film_of_one_prediction(tmp_path: Path) -> None:
+    animate_prediction(tmp_path / "a.gif", moment(), Scene((TABLE,)), "a title")
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == 1 + 4  # one frame before now, then now and three steps
+        assert film.info["loop"] == 0
+        times = []
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            times.append(film.info["duration"])
+    assert times == [100, 600, 100, 100, 1200]  # three times slower than 1/30 s, with rests
+
+
+@pytest.mark.parametrize("name", ["no truth or samples", "truth with holes, limits by joint", "one step"])
+def test_odd_moments_are_filmed(name: str, tmp_path: Path) -> None:
+    animate_prediction(tmp_path / "a.gif", odd_moments()[name])
+    assert (tmp_path / "a.gif").stat().st_size > 1000
+
+
+def test_a_film_of_a_motion_at_its_own_speed(tmp_path: Path) -> None:
+    moments = [dataclasses.replace(moment(), stamp=10 + 0.1 * k) for k in range(3)]
+    animate_motion(tmp_path / "a.gif", moments)
+    with Image.open(tmp_path / "a.gif") as film:
+        film.load()
+        assert film.info["duration"] in (100, 300)  # equal frames may be joined
+        assert np.asarray(film.convert("RGB"))[0, 0].tolist() == [255, 255, 255]
+    with pytest.raises(OptionError, match="at least one"):
+        animate_motion(tmp_path / "b.gif", [])
+    assert not (tmp_path / "b.gif").exists()
+
+
+def test_a_film_too_large_is_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    animate_motion(tmp_path / "large.gif", [moment()])
+    monkeypatch.setattr(animations, "LARGEST", (tmp_path / "large.gif").stat().st_size - 1)
+    animate_motion(tmp_path / "small.gif", [moment()])
+    with Image.open(tmp_path / "small.gif") as small, Image.open(tmp_path / "large.gif") as large:
+        assert small.width < large.width
+
+
+def test_the_persons_left_is_on_the_readers_right() -> None:
+    now = moment().now
+    camera = perspective([moment()])
+    page = camera.page(now)
+    assert page[0, 0] > page[3, 0]
+    assert page[0, 1] > page[1, 1]  # shoulders above elbows
+    nearer = camera.depth(now)
+    assert nearer[2] > nearer[0]  # hands nearer to the viewer, who is in front
+
+
+def test_what_is_nearer_is_larger_only_in_perspective() -> None:
+    flat = Camera(np.zeros(3), np.eye(3))
+    near = dataclasses.replace(flat, distance=2.0)
+    stick = np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
+    assert np.ptp(flat.page(stick)[:, 0]) == pytest.approx(0.2)
+    assert np.ptp(near.page(stick)[:, 0]) == pytest.approx(0.4)
+    np.testing.assert_allclose(near.page(np.zeros(3)), 0.0)
+    np.testing.assert_allclose(near.towards(np.array([0.0, 0.0, -5.0])), UP)
+    assert np.isfinite(near.page(np.array([1.0, 1.0, 2.0]))).all()  # at the viewer's own place
+
+
+def outlines(*obstacles: object, start: float = 0.0, end: float = 0.0) -> list[np.ndarray]:
+    """Corners of everything drawn for a scene seen from above, around the origin."""
+    axes = Figure().add_subplot()
+    camera = Camera(np.zeros(3), np.eye(3))
+    draw_obstacles(axes, camera, Scene(tuple(obstacles)), start, end, np.zeros((1, 3)))
+    return [patch.get_xy() for patch in axes.patches]
+
+
+def test_obstacles_are_drawn_as_large_as_they_are() -> None:
+    (box,) = outlines(Box(np.array([1.0, 0.0, 0.0]), np.array([0.4, 0.2, 0.6])))
+    np.testing.assert_allclose([box.min(axis=0), box.max(axis=0)], [[0.8, -0.1], [1.2, 0.1]])
+    (ball,) = outlines(Sphere(np.array([0.0, 1.0, 0.0]), 0.3))
+    np.testing.assert_allclose(np.linalg.norm(ball - (0.0, 1.0), axis=-1), 0.3, rtol=0.02)
+    (tube,) = outlines(Capsule(np.array([-1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.1))
+    np.testing.assert_allclose(np.ptp(tube, axis=0), [2.2, 0.2], rtol=0.02)
+
+
+def test_planes_are_patches_and_far_ones_are_left_out() -> None:
+    (patch,) = outlines(HalfSpace(-0.1 * UP, UP))
+    assert np.ptp(patch, axis=0) == pytest.approx([1.7, 1.7])
+    assert outlines(HalfSpace(-2.0 * UP, UP)) == []
+
+
+def test_a_moved_obstacle_leaves_its_outline() -> None:
+    box = Box(np.zeros(3), np.full(3, 0.2))
+    moving = MovingObstacle(box, ConstantVelocity(np.array([1.0, 0.0, 0.0])))
+    ghost, solid = outlines(moving, start=0.0, end=0.5)
+    np.testing.assert_allclose(ghost.mean(axis=0), [0.0, 0.0], atol=0.06)
+    np.testing.assert_allclose([solid[:, 0].min(), solid[:, 0].max()], [0.4, 0.6])
+
+
+def test_what_stands_on_a_table_is_drawn_over_it() -> None:
+    table = Box(np.array([0.0, 0.0, 0.88]), np.array([1.0, 1.0, 0.04]))
+    bin_ = Box(np.array([0.0, 0.0, 1.0]), np.array([0.2, 0.2, 0.2]))
+    under, over = outlines(bin_, table)
+    assert np.ptp(under[:, 0]) > np.ptp(over[:, 0])
