@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -10,6 +11,8 @@ from jaxtyping import Float
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, Windows, all_windows
+from kinecast.errors import OptionError
+from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.predictor import Predictor
 from kinecast.types import Prediction, SkeletonFrame
@@ -17,21 +20,28 @@ from kinecast.types import Prediction, SkeletonFrame
 __all__ = ["every_frame", "followed", "frames", "observations", "stream", "training_windows"]
 
 
-def training_windows(recordings: Sequence[Recording], options: WindowOptions) -> TrainingWindows:
-    """Windows of several recordings for training: gaps and jumps of what came next repaired with hindsight.
+def training_windows(
+    recordings: Sequence[Recording], options: WindowOptions, scene: Scene | None = None
+) -> TrainingWindows:
+    """Every window of several recordings, for training: gaps and jumps of what came next repaired with hindsight.
+
+    Args:
+        recordings: to train on.
+        options: which windows; their stride and `whole` do not matter.
+        scene: windows that end inside an obstacle are left out.
 
     Raises:
         DatasetError: no recording has a single window.
-        OptionError: the label occurs in none of them.
+        OptionError: the label occurs in none of them, or every window ends inside an obstacle.
     """
-    parts = list(all_windows(recordings, replace(options, mend_future=True)))
+    parts = list(all_windows(recordings, replace(options, stride=1, whole=False, mend_future=True)))
     task_of = {recording.name: recording.task for recording in recordings}
     tasks = sorted({task_of[part.name] for part in parts})
     groups = [tasks.index(task_of[part.name]) if len(tasks) > 1 else k for k, part in enumerate(parts)]
     owner = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
     future = np.concatenate([part.future for part in parts])
     whole = np.isfinite(future).all(axis=(1, 2, 3))
-    return TrainingWindows(
+    windows = TrainingWindows(
         np.concatenate([part.arms for part in parts])[whole],
         future[whole],
         np.concatenate([part.up for part in parts])[whole],
@@ -40,6 +50,14 @@ def training_windows(recordings: Sequence[Recording], options: WindowOptions) ->
         np.concatenate([part.frames for part in parts])[whole],
         np.array(groups)[owner[whole]],
     )
+    if scene is None:
+        return windows
+    free = windows.outside(scene)
+    if len(free) == 0:
+        raise OptionError(
+            f"all {len(windows)} training windows end inside an obstacle; is the scene in the recordings' frame?"
+        )
+    return free
 
 
 def observations(part: Windows) -> list[Observation]:
@@ -67,7 +85,7 @@ def frames(recording: Recording) -> Iterator[SkeletonFrame]:
         yield SkeletonFrame(float(stamp), recording.joints, positions, recording.person)
 
 
-def stream(recording: Recording, predictor: Predictor) -> Iterator[Prediction]:
-    """Every frame of a recording through the online predictor."""
-    for frame in frames(recording):
+def stream(recordings: Sequence[Recording], predictor: Predictor) -> Iterator[Prediction]:
+    """Every frame of recordings made at the same time, one a person, through the online predictor."""
+    for frame in heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp):
         yield predictor.observe(frame)

@@ -13,12 +13,12 @@ from kinecast.cli.destination import check_folder
 from kinecast.cli.options import Action, Folder, FormatName, Many, MethodNames, SceneFile
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
-from kinecast.datasets.windows import WindowOptions
+from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.errors import OptionError
 from kinecast.evaluation.protocol import EvaluationOptions
 from kinecast.evaluation.tables import format_table
 from kinecast.geometry.scene import Scene
-from kinecast.pipeline import windows_to_score
+from kinecast.pipeline import every_frame
 
 __all__ = ["evaluate"]
 
@@ -79,14 +79,14 @@ def evaluate(
     check_folder(out)
     names = method_names(methods)
     obstacles = None if scene is None else Scene.load(scene)
-    contestants = read_models(model, rate, window, horizon) if model else None
-    options = replace(
-        contestants.windows if contestants else WindowOptions(rate or RATE, window or WINDOW, horizon or HORIZON),
-        stride=stride,
-        label=label,
-    )
+    windows = {"rate": rate, "window": window, "horizon": horizon}
+    stated = {name: value for name, value in windows.items() if value is not None}
+    contestants = read_models(model, **stated) if model else None
+    defaults = contestants.windows if contestants else WindowOptions(rate=RATE, window=WINDOW, horizon=HORIZON)
+    options = replace(defaults, stride=stride, label=label, **stated)
     tested = read_recordings(test, format, "--test")
-    parts, histories = windows_to_score(tested, options)
+    parts = list(all_windows(tested, options))
+    histories = list(all_windows(tested, every_frame(options)))
     if contestants is None:
         recordings = unseen(read_recordings(train, format, "--train"), tested)
         contestants = train_methods(names, recordings, options, obstacles, seed)

@@ -94,9 +94,15 @@ def load(path: Path, format: str | None = None, bvh_options: BvhOptions = CENTIM
 
 
 def load_all(
-    paths: Sequence[Path], format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP
+    paths: Sequence[Path],
+    format: str | None = None,
+    bvh_options: BvhOptions = CENTIMETRES_Y_UP,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Recording]:
-    """Every recording in several files or folders, each loaded once; otherwise as `load`."""
+    """Every recording in several files or folders, each loaded once; otherwise as `load`.
+
+    `progress` is called with (done, total) files.
+    """
     if format is not None and format not in FORMATS:
         raise OptionError(f"format is {format!r}, expected one of {', '.join(FORMATS)}")
     formats = [each for each in _formats(bvh_options) if format in (None, each.name)]
@@ -115,10 +121,12 @@ def load_all(
             raise DatasetError(path, f"no recording found; formats tried: {tried}")
         sources |= {source.resolve(): (source, each) for source, each in found}
     recordings = []
-    for source, each in sources.values():
+    for done, (source, each) in enumerate(sources.values(), 1):
         for recording in each.load(source):
             check(recording, source)
             recordings.append(recording)
+        if progress:
+            progress(done, len(sources))
     return _with_unique_names(recordings)
 
 

@@ -64,6 +64,7 @@ class Rows:
         confidence: (R,) or None.
         covariance: (R, 6) xx, xy, xz, yy, yz, zz of the position [m²], or None.
         label: (R,) what the person is doing, or None.
+        made: (R,) when a predicted row was predicted [s], or None for measured rows.
         metadata: rate, world frame, source and what else belongs to the whole; JSON values.
     """
 
@@ -74,6 +75,7 @@ class Rows:
     confidence: Float[np.ndarray, " R"] | None = None
     covariance: Float[np.ndarray, "R 6"] | None = None
     label: Words | None = None
+    made: Float[np.ndarray, " R"] | None = None
     metadata: dict[str, Any] | None = None
 
 
@@ -107,6 +109,8 @@ def write_rows(path: Path, rows: Rows) -> None:
         columns |= {name: rows.covariance[:, place] for place, name in enumerate(_COVARIANCE)}
     if rows.label is not None:
         columns["label"] = _array(rows.label)
+    if rows.made is not None:
+        columns["made"] = rows.made
     table = pa.table(columns)
     metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
     if path.suffix == ".parquet":
@@ -141,13 +145,15 @@ def _parquet(path: Path) -> pa.Table:
     if file.metadata.num_rows > MOST_POINTS:
         raise DatasetError(path, f"{file.metadata.num_rows} rows, at most {MOST_POINTS} are allowed")
     names = file.schema_arrow.names
-    return file.read(columns=[name for name in (*_REQUIRED, "confidence", *_COVARIANCE, "label") if name in names])
+    return file.read(
+        columns=[name for name in (*_REQUIRED, "confidence", *_COVARIANCE, "label", "made") if name in names]
+    )
 
 
 def _csv(path: Path) -> pa.Table:
     text = read_bytes(path).removeprefix(b"\xef\xbb\xbf")
     described = text.startswith(_CSV_METADATA)
-    numbers = ("stamp", *_POSITION, "confidence", *_COVARIANCE)
+    numbers = ("stamp", *_POSITION, "confidence", *_COVARIANCE, "made")
     types = dict.fromkeys(numbers, pa.float64()) | dict.fromkeys(_WORDS, pa.dictionary(pa.int32(), pa.string()))
     table = pa.csv.read_csv(
         pa.BufferReader(text),
@@ -183,6 +189,7 @@ def _rows(table: pa.Table, path: Path) -> Rows:
         confidence=_numbers(table, ("confidence",))[:, 0] if "confidence" in names else None,
         covariance=_numbers(table, _COVARIANCE) if names.issuperset(_COVARIANCE) else None,
         label=_words(table.column("label")) if "label" in names else None,
+        made=_numbers(table, ("made",))[:, 0] if "made" in names else None,
         metadata=_metadata(table, path),
     )
 

@@ -43,6 +43,9 @@ __all__ = [
     "save_figure",
 ]
 
+LEAST_SPREAD = 0.01
+"""Half the width of a histogram of values that hardly differ [nats]: a method without randomness repeats itself."""
+
 STYLE: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib, so pictures are the same everywhere
     "font.size": 9.5,
@@ -100,7 +103,7 @@ def plot_coverage_by_horizon(
 
 
 def plot_nll_histograms(
-    nll: Mapping[str, Float[np.ndarray, ...]], stderr: Mapping[str, float | None] | None = None
+    nll: Mapping[str, Float[np.ndarray, "..."]], stderr: Mapping[str, float | None] | None = None
 ) -> Chart:
     """Negative log likelihood by method: mean with standard error, and the histogram around that mean.
 
@@ -126,7 +129,7 @@ def plot_nll_histograms(
                 error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
             mean = float(values.mean())
             left.errorbar(mean, row, xerr=error, fmt=style.marker, color=style.colour, capsize=3, ms=6)
-            text = f"{mean:.2f} ± {error:.2g}".replace("-", "−")
+            text = f"{mean:.2f} ± {error:.2f}".replace("-", "−")
             left.annotate(text, (mean, row), (0, 7), textcoords="offset points", ha="center", fontsize=8)
         left.margins(x=0.18)
         _histogram_rows(right, rows)
@@ -292,10 +295,11 @@ def _method_rows(axes: Axes, names: Sequence[str]) -> None:
     axes.spines["left"].set_visible(False)
 
 
-def _histogram_rows(axes: Axes, rows: Mapping[str, Float[np.ndarray, ...]]) -> None:
+def _histogram_rows(axes: Axes, rows: Mapping[str, Float[np.ndarray, "..."]]) -> None:
     """A histogram per row, around its own mean, on common scales; heights grow with the count's logarithm."""
     away = {name: values - values.mean() for name, values in rows.items()}
-    reach = max((float(np.quantile(np.abs(values), 0.995)) for values in away.values()), default=0.0) or 1.0
+    reach = max((float(np.quantile(np.abs(values), 0.995)) for values in away.values()), default=0.0)
+    reach = max(reach, LEAST_SPREAD)
     edges = np.linspace(-1.08 * reach, 1.08 * reach, 42)
     counts = {name: np.histogram(values, edges)[0] for name, values in away.items()}
     tallest = max((int(count.max()) for count in counts.values()), default=1)

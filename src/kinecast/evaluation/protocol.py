@@ -78,7 +78,7 @@ class _Scores:
     energy: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
     inside: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
     volume: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
-    broken: list[Float[np.ndarray, 3]] = field(default_factory=list)
+    broken: list[Float[np.ndarray, "3"]] = field(default_factory=list)
     accepted: list[float] = field(default_factory=list)
     distinct: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -191,7 +191,7 @@ def _violations(
     observation: Observation,
     scene: Scene | None,
     limits: JointLimits,
-) -> Float[np.ndarray, 3]:
+) -> Float[np.ndarray, "3"]:
     """Share of steps that break position limits, speed limits and the scene, from positions alone."""
     initial = postures_from_points(observation.points, continuous=True)[-1]
     postures = postures_from_points(observation.to_torso(positions), initial, continuous=True)
@@ -255,7 +255,7 @@ def _summary(
     }
 
 
-def _mean(values: Float[np.ndarray, ...]) -> float | None:
+def _mean(values: Float[np.ndarray, "..."]) -> float | None:
     """Mean of what was scored; None where nothing was."""
     finite = values[~np.isnan(values)]
     return float(finite.mean()) if finite.size else None

@@ -51,14 +51,14 @@ MEANINGS = {
     "error of the mean and the width together",
     "coverage": "share of true positions inside the ellipsoid that holds 90 % of the samples; best is 90",
     "region": "volume of that ellipsoid",
-    "accepted": "share of samples that the scene leaves; eff. samples: how many of them differ",
+    "accepted": "share of samples that the scene leaves; effective: how many of those differ",
     "latency": "of one prediction, median and 99th percentile",
 }
 
 
 def write_report(
     metrics: Metrics,
-    histograms: Mapping[str, Float[np.ndarray, ...]],
+    histograms: Mapping[str, Float[np.ndarray, "..."]],
     folder: Path,
     pictures: Sequence[Path] = (),
 ) -> Path:

@@ -73,7 +73,7 @@ SCORES = (
     _Score("coverage", "at 90 %", ("coverage", "0.9"), 1, times=100.0, ideal=90.0),
     _Score("region", "litres", ("region_litres", "0.9"), 2, ideal=None),
     _Score("accepted", "%", ("accepted_fraction",), 1, times=100.0, ideal=None),
-    _Score("eff. samples", "", ("effective_sample_size",), 0, ideal=None),
+    _Score("effective", "samples", ("effective_sample_size",), 0, ideal=None),
     _Score("latency", "ms, p50", ("latency_ms", "p50"), 1, ideal=None),
     _Score("latency", "ms, p99", ("latency_ms", "p99"), 1, ideal=None),
 )

@@ -42,7 +42,7 @@ class Allowance:
 
     draws: Callable[[], Float[np.ndarray, "S T 6 3"]]
     observation: Observation
-    initial: Float[np.ndarray, 18]
+    initial: Float[np.ndarray, "18"]
     limits: JointLimits | None
     scene: Scene | None
     noise: float

@@ -74,14 +74,14 @@ def with_noise(cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"
 
 def posture_bounds(
     limits: JointLimits | None,
-) -> tuple[Float[np.ndarray, 18], Float[np.ndarray, 18], Float[np.ndarray, 18], float]:
+) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"], Float[np.ndarray, "18"], float]:
     """Lower, upper [rad], speed [rad/s] of a posture and the wrist's speed [m/s]; infinite without limits."""
     if limits is None:
         return np.full(18, -np.inf), np.full(18, np.inf), np.full(18, np.inf), np.inf
     return *limits.of_posture(), np.inf if limits.wrist_speed is None else limits.wrist_speed
 
 
-def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, 18]) -> Float[np.ndarray, "T 18 18"]:
+def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, "18"]) -> Float[np.ndarray, "T 18 18"]:
     """Cholesky factor of each step's marginal covariance, coordinates reordered."""
     rows = cholesky.reshape(-1, 18, cholesky.shape[1])[:, order]
     return np.linalg.cholesky(rows @ rows.transpose(0, 2, 1))

@@ -59,12 +59,12 @@ def _angle_mixture(
     spreads: Float[np.ndarray, "S T 18"],
     before: Float[np.ndarray, "S T 18"],
     at: int,
-    lower: Float[np.ndarray, 18],
-    upper: Float[np.ndarray, 18],
+    lower: Float[np.ndarray, "18"],
+    upper: Float[np.ndarray, "18"],
     ceilings: Float[np.ndarray, "S T 18"],
     dt: float,
     noise: Float[np.ndarray, "T 4"],
-) -> Float[np.ndarray, T]:
+) -> Float[np.ndarray, "T"]:
     """log density of one arm's angles at each step, summed over the P ways of writing them.
 
     θ1, θ2 and the pair (θ3, θ4) are independent mixtures over the samples.
@@ -106,7 +106,7 @@ def _angle_mixture(
 @njit(cache=True)
 @no_type_check
 def _ceilings(
-    before: Float[np.ndarray, "S T 18"], speed: Float[np.ndarray, 18], wrist_speed: float
+    before: Float[np.ndarray, "S T 18"], speed: Float[np.ndarray, "18"], wrist_speed: float
 ) -> Float[np.ndarray, "S T 18"]:
     """Greatest speeds of each sample's step, the wrist's carried to the angles."""
     out = np.empty(before.shape)
@@ -156,7 +156,7 @@ class PostureSeriesDensity:
     postures: Float[np.ndarray, "S T 18"]
     means: Float[np.ndarray, "S T 18"]
     spreads: Float[np.ndarray, "S T 18"]
-    initial: Float[np.ndarray, 18]
+    initial: Float[np.ndarray, "18"]
     limits: JointLimits | None
     dt: float
     noise: float

@@ -25,7 +25,7 @@ def sensor_noise(windows: TrainingWindows) -> float:
     return float(max(1.4826 * np.median(np.median(third, axis=1)) / np.sqrt(20.0), 1e-4))
 
 
-def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, 3]) -> Float[np.ndarray, "*b 4"]:
+def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "*b 4"]:
     """Spread of θ1..θ4 that independent noise of the joints brings, to first order [rad].
 
     Args:
@@ -45,7 +45,7 @@ def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, 3]) -> 
     )
 
 
-def coordinate_noise(posture: Float[np.ndarray, 18], noise: Float[np.ndarray, 6]) -> Float[np.ndarray, 18]:
+def coordinate_noise(posture: Float[np.ndarray, "18"], noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "18"]:
     """(18,) spread of the smooth posture coordinates that noise on the joints brings, to first order.
 
     Args:

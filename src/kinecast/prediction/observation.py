@@ -54,17 +54,17 @@ class Observation:
     """
 
     positions: Float[np.ndarray, "N 6 3"]
-    up: Float[np.ndarray, 3]
+    up: Float[np.ndarray, "3"]
     dt: float
     stamp: float = 0.0
-    noise: Float[np.ndarray, 6] = field(default_factory=lambda: np.zeros(6))
+    noise: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
 
     def times(self, steps: int) -> Float[np.ndarray, " T"]:
         """(T,) the predicted instants [s]."""
         return self.stamp + self.dt * np.arange(1, steps + 1)
 
     @cached_property
-    def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, 3]]:
+    def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
         """Rotation R_world_torso and origin [m] of the last frame's torso."""
         return reference_frame(self.positions[-1], self.up)
 

@@ -6,6 +6,7 @@ import logging
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.forecast import Forecast, Method
+from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with
 from kinecast.prediction.methods import read_method, shipped_methods
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.track import Track
@@ -21,6 +22,8 @@ from kinecast.types import Density, Prediction, SkeletonFrame, Status
 
 __all__ = ["Predictor", "PredictorOptions"]
 
+UNFAMILIAR_SHARE = 0.1
+"""Weight of the learned experts below which the status says that they have given way."""
 HAND_SPEED = 2.0
 """Fastest approach of a hand [m/s] (ISO 13855:2010, clause 5): bounds what is said before anything is known."""
 
@@ -141,7 +144,10 @@ class Predictor:
         if observation is None:
             seen = track.arms[-1] if track.arms else None
             return self._reachable(frame.person, frame.stamp, seen, trouble)
-        forecast = self.method.forecast(observation, self._rng, self.options.samples, self.scene)
+        memory = self._follow(track, observation)
+        forecast = forecast_with(self.method, memory, observation, self._rng, self.options.samples, self.scene)
+        if taken is Status.OK and forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE:
+            taken = Status.UNFAMILIAR
         status = trouble if trouble is not Status.OK else taken
         if forecast.blocked:
             status = Status.BLOCKED
@@ -149,6 +155,20 @@ class Predictor:
         if not -self.method.dt <= delay <= self.options.longest_delay:
             status = Status.LATE
         return self._prediction(frame.person, observation, forecast, status, now)
+
+    def _follow(self, track: Track, observation: Observation) -> Any:
+        """What is remembered of this person after this frame; None for methods that remember nothing.
+
+        A camera faster than the model's grid is followed at the grid's pace.
+        """
+        if not isinstance(self.method, Follower):
+            return None
+        if track.memory is None:
+            track.memory = self.method.memory()
+        if observation.stamp >= track.followed + 0.9 * self.method.dt:
+            self.method.follow(track.memory, observation, track.arms[-1])
+            track.followed = observation.stamp
+        return track.memory
 
     def _prediction(
         self, person: str, observation: Observation, forecast: Forecast, status: Status, now: float
@@ -169,6 +189,7 @@ class Predictor:
             person=person,
             status=status,
             diagnostics={
+                **forecast.diagnostics,
                 "accepted_fraction": float(forecast.accepted[-1]),
                 "effective_sample_size": float(forecast.distinct),
                 "delay": max(now - observation.stamp, 0.0),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +36,7 @@ class Track:
     Attributes:
         dt: time between frames of the model's grid [s].
         frames: N, frames of the model's window.
+        memory: what a method that follows the person remembers, and `followed`, the stamp of its newest frame.
     """
 
     dt: float
@@ -43,7 +45,9 @@ class Track:
     arms: deque[Float[np.ndarray, "6 3"]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     source: UpSource | None = None
     lean: float = 0.0
-    std: Float[np.ndarray, 6] | None = None
+    std: Float[np.ndarray, "6"] | None = None
+    memory: Any = None
+    followed: float = -np.inf
 
     @property
     def span(self) -> float:
@@ -63,6 +67,7 @@ class Track:
             if age > BACKWARDS or -age > LONGEST_GAP:
                 self.stamps.clear()
                 self.arms.clear()
+                self.memory, self.followed = None, -np.inf
         arms = _arms(frame)
         repeated = bool(self.arms) and np.array_equal(self.arms[-1], arms)
         self.stamps.append(frame.stamp)
@@ -127,7 +132,7 @@ def _arms(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
     return arms
 
 
-def _std(frame: SkeletonFrame) -> Float[np.ndarray, 6]:
+def _std(frame: SkeletonFrame) -> Float[np.ndarray, "6"]:
     """What the frame says of its noise per arm joint [m]; 0 where it says nothing sensible."""
     assert frame.std is not None
     std = np.zeros(6)

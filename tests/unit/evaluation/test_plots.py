@@ -89,7 +89,8 @@ def test_nothing_to_draw_is_an_empty_chart() -> None:
 
 def test_one_value_and_equal_values_have_histograms() -> None:
     figure = plot_nll_histograms({"ridge": np.array([2.0]), "kalman": np.full(5, -1.0)}, {"ridge": np.nan})
-    assert "2.00 ± 0" in figure_svg(figure, "nll")
+    assert "2.00 ± 0.00" in figure_svg(figure, "nll")
+    assert figure.axes[1].get_xlim()[1] > 0.005  # not the 1e-16 by which equal numbers differ
 
 
 def test_names_of_lines_do_not_overlap() -> None:

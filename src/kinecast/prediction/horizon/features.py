@@ -103,10 +103,10 @@ class FeatureScale:
     """
 
     steps: float
-    pose_mean: Float[np.ndarray, 18]
-    pose_spread: Float[np.ndarray, 18]
-    level_mean: Float[np.ndarray, 2]
-    level_spread: Float[np.ndarray, 2]
+    pose_mean: Float[np.ndarray, "18"]
+    pose_spread: Float[np.ndarray, "18"]
+    level_mean: Float[np.ndarray, "2"]
+    level_spread: Float[np.ndarray, "2"]
 
     @staticmethod
     def of(views: ArmViews) -> FeatureScale:

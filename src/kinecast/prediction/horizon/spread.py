@@ -83,7 +83,7 @@ class Spread:
     shape: Float[np.ndarray, "3 T 3 3"]
     factor: Float[np.ndarray, "T 6 3 R"]
     weights: Float[np.ndarray, " K"]
-    edges: Float[np.ndarray, 2]
+    edges: Float[np.ndarray, "2"]
     conformal: Float[np.ndarray, "3 T 3"]
 
     def scale(self, features: Float[np.ndarray, "6 F"], window: Float[np.ndarray, "N 6 3"]) -> Float[np.ndarray, "T 6"]:

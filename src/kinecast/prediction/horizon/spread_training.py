@@ -101,7 +101,7 @@ def _correlation(white: Float[np.ndarray, "B T 6 3"]) -> Float[np.ndarray, "T 6 
 def _conformal(
     white: Float[np.ndarray, "B T 6 3"],
     speeds: Float[np.ndarray, "B 6"],
-    edges: Float[np.ndarray, 2],
+    edges: Float[np.ndarray, "2"],
     weights: Float[np.ndarray, " K"],
 ) -> Float[np.ndarray, "3 T 3"]:
     """Per joint type, step and speed bin: by how much regions must grow to hold what they should."""
