@@ -1,17 +1,25 @@
 """Where a person's arms will be over the next half second, as a distribution that obeys joints, speeds and the scene.
 
-from kinecast import Predictor, SkeletonFrame
-predictor = Predictor.shipped()
+predictor = Predictor.shipped(scene=Scene.load("scene.yaml"))
 prediction = predictor.observe(SkeletonFrame(stamp, joints, positions))
 prediction.mean, prediction.samples, prediction.status.advice
-prediction.tubes(0.95), prediction.log_prob(positions), prediction.probability_of_hitting(shape)
+prediction.tubes(0.95), prediction.log_prob(positions), prediction.probability_of_hitting(Box(center, size))
+
+Types first: kinecast.types. Recordings: kinecast.datasets.loading. Training: kinecast.prediction.methods.
 """
 
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.errors import KinecastError
 from kinecast.geometry.scene import Scene
+from kinecast.geometry.shapes import Box, Capsule
 from kinecast.prediction.predictor import Predictor, PredictorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
 __all__ = [
+    "ARM_JOINTS",
+    "Box",
+    "Capsule",
+    "KinecastError",
     "Prediction",
     "Predictor",
     "PredictorOptions",

@@ -141,14 +141,15 @@ class Prediction:
         return self.density.log_prob(positions)
 
     def probability_of_hitting(self, obstacle: Obstacle, radius: float = 0.0) -> Float[np.ndarray, " T"]:
-        """(T,) probability that any limb touches the obstacle at each step.
+        """(T,) probability that any limb touches the obstacle at each step; one that is NaN may be there, so it does.
 
         Args:
             obstacle: a shape of kinecast.geometry.shapes.
             radius: thickness of the limbs [m], added to their centre lines.
         """
         start, end = _limbs(self.samples)
-        return (obstacle.segment_distance(start, end) <= radius).any(axis=-1).mean(axis=0)
+        unknown = ~np.isfinite(start + end).all(axis=-1)
+        return (unknown | (obstacle.segment_distance(start, end) <= radius)).any(axis=-1).mean(axis=0)
 
     def tubes(self, level: float = 0.95) -> Tubes:
         """Capsules per step and limb which each hold the given share of the samples.

@@ -19,6 +19,8 @@ from typing import TypeAlias, no_type_check
 
 from numba import njit
 
+from kinecast.body.elementary import sine_cosine
+
 __all__ = ["LEFT", "RIGHT", "USUAL_RANGE", "Angles", "Vector", "arm_angles", "arm_vectors", "nearest_turn"]
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -61,7 +63,7 @@ def nearest_turn(angle: float, target: float) -> float:
     return angle + TURN * math.floor((target - angle) * PER_TURN + 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 @no_type_check
 def arm_vectors(theta: Angles, upper: float, fore: float, side: float) -> tuple[Vector, Vector]:
     """Forward kinematics: upper arm L1·u and forearm L2·(cos θ4 u + sin θ4 (cos θ3 e1 + sin θ3 e2)).
@@ -75,12 +77,12 @@ def arm_vectors(theta: Angles, upper: float, fore: float, side: float) -> tuple[
     Returns:
         Shoulder to elbow and elbow to wrist [m].
     """
-    s1, c1 = math.sin(theta[0]), math.cos(theta[0])
-    s2, c2 = math.sin(theta[1]), math.cos(theta[1])
-    along = fore * math.cos(theta[3])
-    across = fore * math.sin(theta[3])
-    ahead = across * math.cos(theta[2])
-    outward = across * math.sin(theta[2])
+    s1, c1 = sine_cosine(theta[0])
+    s2, c2 = sine_cosine(theta[1])
+    s3, c3 = sine_cosine(theta[2])
+    s4, c4 = sine_cosine(theta[3])
+    along, across = fore * c4, fore * s4
+    ahead, outward = across * c3, across * s3
     ux, uy, uz = c2 * s1, side * s2, -c2 * c1
     fx = along * ux + ahead * c1 - outward * s2 * s1
     fy = along * uy + outward * side * c2

@@ -26,6 +26,7 @@ from jaxtyping import Float
 from numba import njit
 
 from kinecast.body.arm_angles import LEFT, RIGHT, UNDEFINED, Vector, arm_angles, arm_vectors, nearest_turn
+from kinecast.body.elementary import sine_cosine
 
 __all__ = [
     "ANGLES", "LEFT_ARM", "LENGTHS", "POSTURE_SIZE", "RIGHT_ARM", "WIDTH",
@@ -61,9 +62,9 @@ def _into_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector
     return cy * v[0] + sy * v[1], cr * level + sr * v[2], cr * v[2] - sr * level
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 @no_type_check
-def _out_of_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
+def out_of_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
     """R v with R = Rz(ψ) Rx(ρ)."""
     level = cr * v[1] - sr * v[2]
     return cy * v[0] - sy * level, sy * v[0] + cy * level, sr * v[1] + cr * v[2]
@@ -127,8 +128,8 @@ def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
         posture: (18,) posture.
         out: (6, 3) receives the points in the reference torso frame [m].
     """
-    sy, cy = math.sin(posture[3]), math.cos(posture[3])
-    sr, cr = math.sin(posture[4]), math.cos(posture[4])
+    sy, cy = sine_cosine(posture[3])
+    sr, cr = sine_cosine(posture[4])
     half = 0.5 * posture[5]
     d = (-half * sy * cr, half * cy * cr, half * sr)
     for arm in range(2):
@@ -136,8 +137,8 @@ def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
         side = LEFT if arm == 0 else RIGHT
         theta = (posture[at], posture[at + 1], posture[at + 2], posture[at + 3])
         upper, fore = arm_vectors(theta, posture[at + 4], posture[at + 5], side)
-        upper = _out_of_torso(upper, sy, cy, sr, cr)
-        fore = _out_of_torso(fore, sy, cy, sr, cr)
+        upper = out_of_torso(upper, sy, cy, sr, cr)
+        fore = out_of_torso(fore, sy, cy, sr, cr)
         for axis in range(3):
             out[shoulder, axis] = posture[axis] + side * d[axis]
             out[shoulder + 1, axis] = out[shoulder, axis] + upper[axis]

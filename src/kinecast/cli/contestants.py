@@ -64,31 +64,34 @@ def train_methods(
     return Contestants(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
 
 
-def read_models(paths: Sequence[Path], rate: float | None, window: float | None, horizon: float | None) -> Contestants:
+def read_models(
+    paths: Sequence[Path], rate: float | None = None, window: float | None = None, horizon: float | None = None
+) -> Contestants:
     """Saved models, all for the same windows.
 
     Args:
-        paths: model files.
-        rate: that they must have [Hz]; None for their own.
-        window, horizon: that they must have [s]; None for their own.
+        paths: model files, at least one.
+        rate: that they must have [Hz]; None for that of the first.
+        window, horizon: that they must have [s]; None for those of the first.
 
     Raises:
-        ModelError: a file is no model, or is made for other windows.
+        ModelError: a file is no model, or made for other windows.
+        OptionError: a rate, window or horizon that no model can have.
     """
     models = [(path, *read_method(path)) for path in paths]
-    first = models[0][1]
+    cards = [card for _, card, _ in models]
+    first = cards[0]
     options = WindowOptions(
         rate=first.rate if rate is None else rate,
         window=first.frames / first.rate if window is None else window,
         horizon=first.steps / first.rate if horizon is None else horizon,
     )
     wanted = (options.observed_steps, options.predicted_steps, options.rate)
+    frames = "{} frames seen and {} predicted at {:g} Hz"
     for path, card, _ in models:
-        if (card.frames, card.steps, card.rate) != wanted:
-            raise ModelError(
-                f"{path}: made for {_windows(card.frames, card.steps, card.rate)}, not {_windows(*wanted)}"
-            )
-    cards = [card for _, card, _ in models]
+        made = (card.frames, card.steps, card.rate)
+        if made != wanted:
+            raise ModelError(f"{path}: made for {frames.format(*made)}, not {frames.format(*wanted)}")
     once = [card.method for card in cards]
     methods = {
         card.method if once.count(card.method) == 1 else f"{card.method} ({path})": method
@@ -109,7 +112,3 @@ def _limits(cards: Sequence[ModelCard]) -> JointLimits:
     """Those that a constrained model holds itself to, else those found in training."""
     held = [card.limits for card in cards if card.method == "kinecast" or card.method.endswith("_constrained")]
     return (held or [cards[0].limits])[0]
-
-
-def _windows(frames: int, steps: int, rate: float) -> str:
-    return f"{frames} frames seen and {steps} predicted at {rate:g} Hz"

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinecast import __version__
+from kinecast.cli.destination import check_folder
+from kinecast.cli.options import Folder
 from kinecast.cli.progress import progress_bar
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.protocol import EvaluationOptions
-from kinecast.evaluation.run import run_evaluation
 from kinecast.evaluation.tables import format_table
 from kinecast.pipeline import every_frame
 from kinecast.prediction.methods import shipped_methods
@@ -19,14 +20,15 @@ __all__ = ["demo"]
 SEED = 7
 
 
-def demo(out: Path = Path("kinecast-demo")) -> None:
+def demo(out: Folder = Path("kinecast-demo")) -> None:
     """Generates people at a table, predicts their arms, scores it, draws it, and says where it all is.
-
-    The models are the shipped ones, trained on real people, none of whom is generated here.
 
     Args:
         out: folder for the report and the pictures.
     """
+    from kinecast.evaluation.run import run_evaluation  # here, since drawing is an extra other commands do without
+
+    check_folder(out)
     people = SyntheticOptions(subjects=2, recordings=2, duration=15.0)
     scene = table_scene(people)
     windows = WindowOptions()
@@ -48,5 +50,5 @@ def demo(out: Path = Path("kinecast-demo")) -> None:
     with progress_bar("predicting") as progress:
         metrics = run_evaluation(out, methods, parts, histories, scene, options, settings, progress)
     print(format_table(metrics))
-    for name in ("report.html", "prediction.png", "prediction.gif"):
-        print(out / name)
+    print(f"report: {out / 'report.html'}")
+    print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from kinecast.errors import OptionError
 
-__all__ = ["check_file", "check_folder"]
+__all__ = ["check_file", "check_folder", "without_empty_folders"]
 
 
 def check_file(out: Path, endings: tuple[str, ...]) -> None:
@@ -44,6 +46,24 @@ def check_folder(out: Path) -> None:
     _check_writable(out, place)
 
 
+@contextmanager
+def without_empty_folders(out: Path) -> Iterator[None]:
+    """After an error, removes `out`, what is in it and what it is in, as far as they are empty and new."""
+    old = {out, *out.parents, *out.rglob("*")}
+    old = {folder for folder in old if folder.exists()}
+    try:
+        yield
+    except BaseException:
+        new = {out, *out.parents, *out.rglob("*")} - old
+        for folder in sorted(new, key=lambda folder: len(folder.parts), reverse=True):
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
 def _check_writable(out: Path, folder: Path) -> None:
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise OptionError(f"--out {out}: the folder {folder} is not writable")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OptionError(f"--out {out}: nothing can be written in {folder} ({error.strerror})") from None

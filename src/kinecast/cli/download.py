@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import tyro
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+from tyro.conf import Positional, arg
 
+from kinecast.cli.destination import check_folder, without_empty_folders
+from kinecast.cli.options import Folder
 from kinecast.cli.progress import CONSOLE
 from kinecast.datasets.download import download as fetch
 from kinecast.datasets.download import public_sets
@@ -16,24 +18,26 @@ __all__ = ["download"]
 
 
 def download(
-    name: Annotated[str | None, tyro.conf.Positional] = None,
-    out: Path = Path("recordings"),
-    only: str = "*",
-    url: str | None = None,
+    name: Positional[Annotated[str | None, arg(metavar="[NAME]", help_behavior_hint="")]] = None,
+    out: Folder = Path("recordings"),
+    only: Annotated[str, arg(metavar="PATTERN")] = "*",
+    url: Annotated[str | None, arg(metavar="URL", help_behavior_hint="")] = None,
 ) -> None:
     """Downloads a public set of recordings, checked and resumable; without a name, lists the sets.
 
     Args:
         name: of the set.
-        out: folder for the files.
+        out: folder for the set's own folder.
         only: which files, as a pattern on their names, e.g. "PickPlace*".
         url: fetch from this address, e.g. a mirror, instead of the set's own.
     """
     if name is None:
         for each in public_sets().values():
-            print(f"{each.name}: {each.about} ({each.licence}; {each.home})")
+            print(f"{each.name}\n  {each.about}\n  licence: {each.licence}; see {each.home}")
         return
+    check_folder(out)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
-    with Progress(*columns, console=CONSOLE, transient=True) as progress:
+    bars = Progress(*columns, console=CONSOLE, transient=True, disable=not CONSOLE.is_terminal)
+    with without_empty_folders((out / name).absolute()), bars as progress:
         files = fetch(name, out / name, progress, only, url)
     print(f"{len(files)} files in {out / name}")

@@ -10,7 +10,7 @@ from tyro.conf import arg
 from kinecast import __version__
 from kinecast.cli.contestants import method_names, read_models, train_methods, warn_of_known
 from kinecast.cli.destination import check_folder
-from kinecast.cli.options import Action, Folder, FormatName, Many, MethodNames, SceneFile
+from kinecast.cli.options import Action, Folder, FormatName, Many, MethodNames, SceneFile, check_seed
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
 from kinecast.datasets.windows import WindowOptions, all_windows
@@ -22,7 +22,9 @@ from kinecast.pipeline import every_frame
 
 __all__ = ["evaluate"]
 
-DEFAULT_METHODS = "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,gp_xyz,gp_angles,gp_constrained"
+DEFAULT_METHODS = (
+    "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,gp_xyz,gp_angles,gp_constrained,kinecast"
+)
 
 RATE, WINDOW, HORIZON = 30.0, 0.2, 0.5
 """Frames per second [Hz], and what is observed and predicted [s], where no model says otherwise."""
@@ -76,14 +78,17 @@ def evaluate(
         raise OptionError("--methods goes with --train; a --model brings its own")
     if not 1 <= samples <= 100_000 or not 0 <= repeats <= 1000:
         raise OptionError(f"samples {samples}, repeats {repeats}; allowed are 1..100000 and 0..1000")
+    check_seed(seed)
     check_folder(out)
     names = method_names(methods)
     obstacles = None if scene is None else Scene.load(scene)
-    windows = {"rate": rate, "window": window, "horizon": horizon}
-    stated = {name: value for name, value in windows.items() if value is not None}
-    contestants = read_models(model, **stated) if model else None
-    defaults = contestants.windows if contestants else WindowOptions(rate=RATE, window=WINDOW, horizon=HORIZON)
-    options = replace(defaults, stride=stride, label=label, **stated)
+    contestants = read_models(model, rate, window, horizon) if model else None
+    options = WindowOptions(
+        rate=RATE if rate is None else rate,
+        window=WINDOW if window is None else window,
+        horizon=HORIZON if horizon is None else horizon,
+    )
+    options = replace(contestants.windows if contestants else options, stride=stride, label=label)
     tested = read_recordings(test, format, "--test")
     parts = list(all_windows(tested, options))
     histories = list(all_windows(tested, every_frame(options)))

@@ -8,11 +8,24 @@ from typing import Annotated
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from kinecast.datasets.loading import FORMATS
+from kinecast.errors import OptionError
 from kinecast.prediction.methods import METHODS
 
-__all__ = ["Action", "File", "Folder", "FormatName", "Many", "MethodName", "MethodNames", "SceneFile", "Switch", "What"]
+__all__ = [
+    "Action",
+    "File",
+    "Folder",
+    "FormatName",
+    "Many",
+    "MethodName",
+    "MethodNames",
+    "SceneFile",
+    "Switch",
+    "What",
+    "check_seed",
+]
 
-_METHODS = "\n".join(f"{name}: {about}" for name, about in METHODS.items())
+_METHODS = "".join(f"\n• {name}: {about}" for name, about in METHODS.items())
 
 Many = Annotated[tuple[Path, ...], arg(metavar="PATH [PATH ...]", help_behavior_hint="")]
 What = Positional[Many]
@@ -29,12 +42,21 @@ FormatName = Annotated[
         help_behavior_hint="(default: found by content)",
     ),
 ]
-MethodName = Annotated[str, arg(metavar="NAME", help=f"one of\n{_METHODS}")]
+MethodName = Annotated[
+    str,
+    arg(metavar="NAME", help=f"the method:{_METHODS}", help_behavior_hint=lambda default: f"\n(default: {default})"),
+]
 MethodNames = Annotated[
     str,
     arg(
         metavar="NAME,NAME,...",
-        help=f"of\n{_METHODS}",
-        help_behavior_hint=lambda default: f"(default: {default.replace(',', ', ')})",
+        help=f"methods to train:{_METHODS}",
+        help_behavior_hint=lambda default: f"\n(default: {default.replace(',', ', ')})",
     ),
 ]
+
+
+def check_seed(seed: int) -> None:
+    """Raises OptionError for a seed that no random generator takes."""
+    if seed < 0:
+        raise OptionError(f"seed is {seed}, allowed is 0 or more")

@@ -12,7 +12,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from kinecast.cli.destination import check_file
-from kinecast.cli.options import File, FormatName, SceneFile
+from kinecast.cli.options import File, FormatName, SceneFile, check_seed
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import listed, read_recordings
 from kinecast.datasets.recording import Recording
@@ -51,6 +51,7 @@ def predict(
         seed: of the draws.
         format: read the recording as this format instead of finding it by content.
     """
+    check_seed(seed)
     check_file(out, (".parquet", ".csv"))
     options = PredictorOptions(samples=samples, seed=seed)
     obstacles = None if scene is None else Scene.load(scene)
@@ -75,7 +76,7 @@ def _one_scene(recordings: Sequence[Recording], path: Path) -> Sequence[Recordin
     Raises:
         OptionError: they are not.
     """
-    if len({recording.source for recording in recordings}) > 1:
+    if len({recording.person for recording in recordings}) < len(recordings):
         names = listed([recording.name for recording in recordings])
         raise OptionError(f"{path}: holds {len(recordings)} recordings ({names}); predict takes one")
     return recordings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kinecast.cli.destination import check_file
-from kinecast.cli.options import Action, File, FormatName, MethodName, SceneFile, What
+from kinecast.cli.options import Action, File, FormatName, MethodName, SceneFile, What, check_seed
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings
 from kinecast.datasets.windows import WindowOptions
@@ -42,6 +42,7 @@ def train(
         format: read recordings as this format instead of finding it by content.
     """
     check_names([method])
+    check_seed(seed)
     check_file(out, (".npz",))
     options = WindowOptions(rate=rate, window=window, horizon=horizon, label=label)
     obstacles = None if scene is None else Scene.load(scene)

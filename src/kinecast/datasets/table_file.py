@@ -144,10 +144,8 @@ def _parquet(path: Path) -> pa.Table:
     file = pa.parquet.ParquetFile(pa.BufferReader(read_bytes(path)))
     if file.metadata.num_rows > MOST_POINTS:
         raise DatasetError(path, f"{file.metadata.num_rows} rows, at most {MOST_POINTS} are allowed")
-    names = file.schema_arrow.names
-    return file.read(
-        columns=[name for name in (*_REQUIRED, "confidence", *_COVARIANCE, "label", "made") if name in names]
-    )
+    known = (*_REQUIRED, "confidence", *_COVARIANCE, "label", "made")
+    return file.read(columns=[name for name in known if name in file.schema_arrow.names])
 
 
 def _csv(path: Path) -> pa.Table:

@@ -25,6 +25,9 @@ __all__ = ["WindowOptions", "Windows", "all_windows", "moving_part", "windows"]
 LONGEST = 10.0
 """Longest window or horizon [s]."""
 
+MOST_FRAMES = 300
+"""Most frames in either: the joint Gaussian of 300 steps already has 5400 coordinates."""
+
 STILL_SPEED = 0.1
 """A person whose wrists both stay slower than this stands still [m/s]."""
 
@@ -67,9 +70,10 @@ class WindowOptions:
         if not lowest <= self.rate <= highest:
             raise OptionError(f"rate is {self.rate} Hz, allowed is {lowest:g} to {highest:g} Hz")
         for name, seconds, least in (("window", self.window, 2), ("horizon", self.horizon, 1)):
-            if not (0 < seconds <= LONGEST and round(seconds * self.rate) >= least):
-                shortest = f"{least} frames ({least / self.rate:.4g} s)"
-                raise OptionError(f"{name} is {seconds} s, allowed is {shortest} to {LONGEST:g} s")
+            if not (0 < seconds <= LONGEST and least <= round(seconds * self.rate) <= MOST_FRAMES):
+                allowed = f"{least / self.rate:.4g} to {min(LONGEST, MOST_FRAMES / self.rate):.4g} s"
+                frames = f"{least} to {MOST_FRAMES} frames"
+                raise OptionError(f"{name} is {seconds} s, allowed is {allowed} at {self.rate:g} Hz ({frames})")
         if self.stride < 1:
             raise OptionError(f"stride is {self.stride} frames, allowed is 1 or more")
         if set(self.extra_joints) & set(ARM_JOINTS) or len(set(self.extra_joints)) < len(self.extra_joints):

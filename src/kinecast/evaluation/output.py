@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["write_atomically"]
+__all__ = ["all_or_none", "write_atomically"]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -29,3 +32,27 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         Path(partial).unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def all_or_none(folder: Path) -> Iterator[Path]:
+    """A place for files that go to a folder together, once all are there; if one fails, none does.
+
+    Args:
+        folder: where the files go; made where missing, and only then.
+
+    Yields:
+        A folder to write them in.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    near = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
+    draft = Path(tempfile.mkdtemp(dir=near, prefix=f".{folder.name}."))
+    try:
+        yield draft
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in sorted(draft.iterdir()):
+            file.replace(folder / file.name)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)

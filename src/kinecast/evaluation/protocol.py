@@ -20,6 +20,9 @@ from kinecast.prediction.observation import Observation
 
 __all__ = ["EvaluationOptions", "TestRecording", "evaluate"]
 
+BOOTSTRAP_BLOCK = 5.0
+"""Windows within this time of one another [s] are drawn together for standard errors."""
+
 Progress = Callable[[int, int], None]
 
 NLL_JOINTS = 6
@@ -78,7 +81,7 @@ class _Scores:
     energy: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
     inside: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
     volume: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
-    broken: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    broken: list[Int[np.ndarray, "4"]] = field(default_factory=list)
     accepted: list[float] = field(default_factory=list)
     distinct: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -109,11 +112,13 @@ def evaluate(
     moving = np.array([is_moving(o.positions, o.dt) for o in observations])
     again = np.linspace(0, len(observations) - 1, min(options.repeat_windows, len(observations))).astype(int)
     repeated = set(again.tolist()) if options.repeats else set()
+    apart = np.concatenate([np.diff([o.stamp for o in recording.observations]) for recording in recordings])
+    pace = float(np.median(apart)) if len(apart) else 0.0
     total, done = len(methods) * len(observations), 0
 
-    truth_broken = np.array(
-        [_violations(truth[None], o, scene, options.limits) for truth, o in zip(future, observations, strict=True)]
-    )
+    truth_broken = [
+        _violations(truth[None], o, scene, options.limits) for truth, o in zip(future, observations, strict=True)
+    ]
     results: dict[str, Any] = {}
     histograms: dict[str, Float[np.ndarray, " K"]] = {}
     for name, method in methods.items():
@@ -132,16 +137,15 @@ def evaluate(
             if row in repeated:
                 fresh = [np.random.default_rng([options.seed, k, row]) for k in range(options.repeats)]
                 drawn = [forecast_with(method, memory, observation, each, options.samples, scene) for each in fresh]
-                repeats.append([np.nanmean(-each.density.log_prob(truth)) / NLL_JOINTS for each in drawn])
+                repeats.append([_averages(-each.density.log_prob(truth)[None])[0] / NLL_JOINTS for each in drawn])
             done += 1
             if progress:
                 progress(done, total)
-        histograms[name] = np.mean(repeats, axis=0) if repeats else np.empty(0)
-        results[name] = _summary(scores, owner, [r.name for r in recordings], moving, options)
+        histograms[name] = _averages(np.array(repeats).T) if repeats else np.empty(0)
+        results[name] = _summary(scores, owner, [r.name for r in recordings], moving, options, pace)
     names = ("position", "speed", "scene")
-    broken = truth_broken.mean(axis=0) if len(truth_broken) else np.zeros(3)
     return {
-        "ground_truth_violations": dict(zip(names, broken.tolist(), strict=True)),
+        "ground_truth_violations": dict(zip(names, _share(truth_broken).tolist(), strict=True)),
         "methods": results,
     }, histograms
 
@@ -191,8 +195,8 @@ def _violations(
     observation: Observation,
     scene: Scene | None,
     limits: JointLimits,
-) -> Float[np.ndarray, "3"]:
-    """Share of steps that break position limits, speed limits and the scene, from positions alone."""
+) -> Int[np.ndarray, "4"]:
+    """Steps that break position limits, speed limits and the scene, from positions alone; and all known steps."""
     initial = postures_from_points(observation.points, continuous=True)[-1]
     postures = postures_from_points(observation.to_torso(positions), initial, continuous=True)
     position, speed = violations(postures, initial, observation.dt, limits)
@@ -200,21 +204,28 @@ def _violations(
     hit = np.zeros_like(known)
     if scene is not None:
         hit = known & ~scene.free(positions, observation.times(positions.shape[1]))
-    count = max(int(np.count_nonzero(known)), 1)
-    return np.array([np.count_nonzero(broken & known) / count for broken in (position, speed, hit)])
+    return np.array([np.count_nonzero(broken & known) for broken in (position, speed, hit, known)])
+
+
+def _share(counts: Sequence[Int[np.ndarray, "4"]]) -> Float[np.ndarray, "3"]:
+    """Shares of the known steps of all windows that break position limits, speed limits and the scene."""
+    total = np.sum(counts, axis=0, initial=0) if len(counts) else np.zeros(4, dtype=int)
+    return total[:3] / max(int(total[3]), 1)
 
 
 def _summary(
     scores: _Scores,
-    owner: Float[np.ndarray, " W"],
+    owner: Int[np.ndarray, " W"],
     names: Sequence[str],
     moving: Bool[np.ndarray, " W"],
     options: EvaluationOptions,
+    pace: float,
 ) -> dict[str, Any]:
     error, nll, volume = np.array(scores.error), np.array(scores.nll), np.array(scores.volume)
     crps_, inside = np.array(scores.crps), np.array(scores.inside)
-    per_window = np.nanmean(error, axis=(1, 2))
-    broken = np.mean(scores.broken, axis=0)
+    per_window = _averages(error)
+    block = max(round(BOOTSTRAP_BLOCK / (pace or 1.0)), 1)
+    broken = _share(scores.broken)
     seconds = 1e3 * np.array(scores.seconds)
 
     def three(select: Bool[np.ndarray, " W"]) -> dict[str, float | None]:
@@ -231,10 +242,10 @@ def _summary(
     return {
         **three(everything),
         "mpjpe_mm_by_step": [_mean(1e3 * error[:, t]) for t in range(error.shape[1])],
-        "mpjpe_mm_stderr": 1e3 * block_bootstrap(per_window, owner, seed=options.seed).stderr,
+        "mpjpe_mm_stderr": _number(1e3 * block_bootstrap(per_window, owner, block=block, seed=options.seed).stderr),
         "moving_mpjpe_mm": _mean(1e3 * error[moving]),
         "wrist_final_mm": _mean(1e3 * error[:, -1, [2, 5]]),
-        "nll_stderr": block_bootstrap(np.nanmean(nll, axis=1), owner, seed=options.seed).stderr,
+        "nll_stderr": _number(block_bootstrap(_averages(nll), owner, block=block, seed=options.seed).stderr),
         "kde_nll": _mean(np.array(scores.kde)),
         "energy_score_mm": _mean(1e3 * np.array(scores.energy)),
         "coverage": coverage(everything),
@@ -253,6 +264,19 @@ def _summary(
             for k, name in enumerate(names)
         },
     }
+
+
+def _averages(values: Float[np.ndarray, "W ..."]) -> Float[np.ndarray, " W"]:
+    """Mean of what was scored of each window; NaN where nothing was."""
+    flat = values.reshape(len(values), -1)
+    known = ~np.isnan(flat)
+    count = known.sum(axis=1)
+    return np.where(count > 0, np.where(known, flat, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
+
+
+def _number(value: float) -> float | None:
+    """The value; None where it is not a number, which JSON cannot say."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _mean(values: Float[np.ndarray, "..."]) -> float | None:

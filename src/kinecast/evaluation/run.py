@@ -11,7 +11,7 @@ import numpy as np
 
 from kinecast.datasets.windows import Windows
 from kinecast.evaluation.animations import animate_prediction
-from kinecast.evaluation.output import write_atomically
+from kinecast.evaluation.output import all_or_none, write_atomically
 from kinecast.evaluation.pictures import Moment, draw_prediction
 from kinecast.evaluation.protocol import EvaluationOptions, Progress, TestRecording, evaluate
 from kinecast.evaluation.report import write_report
@@ -32,7 +32,7 @@ def run_evaluation(
     settings: Mapping[str, Any],
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Scores methods and writes everything; nothing is written before the last score is in.
+    """Scores methods and writes everything: all files or, after an error, none.
 
     Args:
         out: folder for metrics.json, report.html, prediction.png and prediction.gif.
@@ -70,11 +70,12 @@ def run_evaluation(
     name, method = list(methods.items())[-1]
     moment, title = _busiest(parts, method, scene, options)
     title = f"{name}, {title}"
-    picture, film = out / "prediction.png", out / "prediction.gif"
-    write_atomically(out / "metrics.json", json.dumps(metrics, indent=1).encode())
-    draw_prediction(picture, moment, scene, title)
-    animate_prediction(film, moment, scene, title)
-    write_report(metrics, histograms, out, [picture, film])
+    with all_or_none(out) as folder:
+        picture, film = folder / "prediction.png", folder / "prediction.gif"
+        write_atomically(folder / "metrics.json", json.dumps(metrics, indent=1).encode())
+        draw_prediction(picture, moment, scene, title)
+        animate_prediction(film, moment, scene, title)
+        write_report(metrics, histograms, folder, [picture, film])
     return metrics
 
 

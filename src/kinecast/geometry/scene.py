@@ -100,17 +100,20 @@ class Scene:
         result: Bool[np.ndarray, "S T"] = arms_are_free(self.rows(times), arms, float(limb_radius))
         return result
 
-    def clearance(self, pose: Float[np.ndarray, "T 6 3"], times: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-        """(T,) distance [m] from the nearest limb of one moving pose to the nearest obstacle, > 0 free.
+    def clearance(
+        self, poses: Float[np.ndarray, "*batch T 6 3"], times: Float[np.ndarray, " T"]
+    ) -> Float[np.ndarray, "*batch T"]:
+        """(…, T) distance [m] from the nearest limb to the nearest obstacle, > 0 free; inf without obstacles.
 
         Args:
-            pose: (T, 6, 3) positions [m] of the six arm joints.
+            poses: (…, T, 6, 3) positions [m] of the six arm joints.
             times: (T,) [s], on the clock of moving obstacles.
         """
-        starts, ends = pose[:, [0, 1, 3, 4]], pose[:, [1, 2, 4, 5]]
-        nearest = np.full(len(pose), np.inf)
+        starts, ends = poses[..., [0, 1, 3, 4], :], poses[..., [1, 2, 4, 5], :]
+        nearest = np.full(poses.shape[:-2], np.inf)
         for step, rows in enumerate(self.rows(times)):
+            start, end = starts[..., step, :, :], ends[..., step, :, :]
             for row in rows:
-                limbs = segment_distances(row, starts[step], ends[step])
-                nearest[step] = min(nearest[step], float(limbs.min()))
+                limbs = segment_distances(row, start.reshape(-1, 3), end.reshape(-1, 3)).reshape(*start.shape[:-1])
+                nearest[..., step] = np.minimum(nearest[..., step], limbs.min(axis=-1))
         return nearest

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.special import log_ndtr, ndtr
+from jaxtyping import Float
+from scipy.special import log_ndtr, logsumexp, ndtr
 
 from kinecast.body.limits import JointLimits, bounds
 from kinecast.body.posture import ANGLES, postures_from_points
@@ -49,66 +49,47 @@ class Allowance:
 
     @cached_property
     def log_total(self) -> Float[np.ndarray, " T"]:
-        """(T,) log P(allowed): the share of draws allowed at each step."""
+        """(T,) log P(allowed) = log ∫ f(x) P(allowed | x) dx, the mean over draws; at least half a draw's share."""
         points = self.draws()
-        allowed = np.ones(points.shape[:2], dtype=bool)
-        if self.scene is not None:
-            times = self.observation.times(points.shape[1])
-            allowed &= self.scene.free(self.observation.to_world(points), times)
-        if self.limits is not None:
-            allowed &= self._inside(points)
-        return np.log(np.maximum(allowed.mean(axis=0), LEAST))
+        share = logsumexp(self.log_given(points), axis=0) - np.log(len(points))
+        return np.asarray(np.maximum(share, -np.log(2.0 * len(points))))
 
-    def log_given(self, pose: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
-        """(T,) log P(the true pose is allowed | it was measured here); pose in the torso frame [m]."""
-        log_p = np.zeros(len(pose))
+    def log_given(self, poses: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T"]:
+        """(…, T) log P(the true pose is allowed | it was measured here); poses in the torso frame [m]."""
+        log_p = np.zeros(poses.shape[:-2])
         if self.scene is not None:
-            clearance = self.scene.clearance(self.observation.to_world(pose), self.observation.times(len(pose)))
+            times = self.observation.times(poses.shape[-3])
+            clearance = self.scene.clearance(self.observation.to_world(poses), times)
             if self.noise > 0:
                 log_p += log_ndtr(clearance / self.noise)
             else:
                 log_p += np.where(clearance >= 0, 0.0, -np.inf)
         if self.limits is not None:
-            log_p += self._log_inside(pose)
+            log_p += self._log_inside(poses)
         return log_p
 
-    def _angles(self, points: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T 18"]:
-        """Postures nearest to the last observed one, each step for itself."""
-        return postures_from_points(points, self.initial, continuous=False)
-
-    @cached_property
-    def _boxes(self) -> Callable[[int], tuple[Float[np.ndarray, "T 8"], Float[np.ndarray, "T 8"]]]:
+    def _boxes(self, steps: int) -> tuple[Float[np.ndarray, "T 8"], Float[np.ndarray, "T 8"]]:
+        """(T, 8) lower and upper ends of the angles after 1 … T steps."""
         assert self.limits is not None
         lower, upper, speed = self.limits.of_posture()
-
-        def boxes(steps: int) -> tuple[Float[np.ndarray, "T 8"], Float[np.ndarray, "T 8"]]:
-            rows = [
+        table = np.array(
+            [
                 [bounds(lower[i], upper[i], speed[i], self.initial[i], t * self.observation.dt) for i in ANGLES]
                 for t in range(1, steps + 1)
             ]
-            table = np.array(rows)
-            return table[..., 0], table[..., 1]
+        )
+        return table[..., 0], table[..., 1]
 
-        return boxes
-
-    def _inside(self, points: Float[np.ndarray, "S T 6 3"]) -> Bool[np.ndarray, "S T"]:
-        postures = self._angles(points)
-        lower, upper = self._boxes(points.shape[1])
-        angles = postures[..., list(ANGLES)]
-        inside = (angles >= lower) & (angles <= upper)
-        for swing in (2, 6):
-            inside[..., swing] |= angles[..., swing + 1] < STRAIGHT
-        return np.asarray(inside.all(axis=-1))
-
-    def _log_inside(self, pose: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
-        postures = self._angles(pose)
-        lower, upper = self._boxes(len(pose))
-        log_p = np.zeros(len(pose))
-        for arm, start in enumerate((6, 12)):
-            theta = postures[:, start : start + 4]
-            spread = angle_noise(postures[:, start : start + 6], np.full(3, max(self.noise, 1e-9)))
+    def _log_inside(self, poses: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T"]:
+        start = np.broadcast_to(self.initial, (*poses.shape[:-3], 18))
+        postures = postures_from_points(poses, start, continuous=False)
+        lower, upper = self._boxes(poses.shape[-3])
+        log_p = np.zeros(poses.shape[:-2])
+        for arm, at in enumerate((6, 12)):
+            theta = postures[..., at : at + 4]
+            spread = angle_noise(postures[..., at : at + 6], np.full(3, max(self.noise, 1e-9)))
             lb, ub = lower[:, 4 * arm : 4 * arm + 4], upper[:, 4 * arm : 4 * arm + 4]
             p = ndtr((ub - theta) / spread) - ndtr((lb - theta) / spread)
-            p[:, 2] = np.where(theta[:, 3] < STRAIGHT, 1.0, p[:, 2])
-            log_p += np.log(np.maximum(p, LEAST)).sum(axis=1)
+            p[..., 2] = np.where(theta[..., 3] < STRAIGHT, 1.0, p[..., 2])
+            log_p += np.log(np.maximum(p, LEAST)).sum(axis=-1)
         return log_p

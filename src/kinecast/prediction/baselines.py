@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.errors import ModelError
+from kinecast.prediction.arrays import shaped
 
 __all__ = [
     "LinearMap",
@@ -37,6 +38,7 @@ RIDGES = 10.0 ** np.arange(-4.0, 5.0)
 """Ridge penalties tried, relative to standardised features."""
 
 
+@runtime_checkable
 class MeanModel(Protocol):
     """The expected next T values of D coordinates from their last N."""
 
@@ -91,16 +93,22 @@ class LinearMap:
         return {"centre": self.centre, "scale": self.scale, "matrix": self.matrix}
 
 
-def mean_from_arrays(arrays: Mapping[str, np.ndarray]) -> MeanModel:
-    """The mean model that `to_arrays` described.
+def mean_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, size: int) -> MeanModel:
+    """The mean model of N frames, T steps and D coordinates that `to_arrays` described.
 
     Raises:
-        ModelError: arrays of no known mean model.
+        ModelError: arrays of no known mean model, or of another shape.
     """
     if "weights" in arrays:
-        return WindowFilter(np.asarray(arrays["weights"], float))
+        return WindowFilter(shaped(arrays, "weights", steps, frames))
     if {"centre", "scale", "matrix"} <= set(arrays):
-        return LinearMap(*(np.asarray(arrays[name], float) for name in ("centre", "scale", "matrix")))
+        features = frames * size
+        scale = shaped(arrays, "scale", features)
+        if not (scale > 0).all():
+            raise ModelError("array scale holds values that are not above 0")
+        return LinearMap(
+            shaped(arrays, "centre", features), scale, shaped(arrays, "matrix", features + 1, steps * size)
+        )
     raise ModelError(f"mean model with arrays {sorted(arrays)}; expected weights, or centre, scale and matrix")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.errors import ModelError, OptionError
+from kinecast.errors import ModelError
 
 __all__ = ["ModelCard", "read_checkpoint", "write_checkpoint"]
 
@@ -25,6 +25,11 @@ LARGEST = 256 * 2**20
 """Most bytes a model may hold once unpacked."""
 MOST_ARRAYS = 4096
 CARD = "card"
+FIELD_KINDS: dict[str, type | tuple[type, ...]] = {
+    "method": str, "frames": int, "steps": int, "rate": (int, float), "noise": (int, float), "windows": int,
+    "label": str, "seed": int,
+}  # fmt: skip
+"""Types of the card's plain entries."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,7 @@ class ModelCard:
         """
         try:
             data: dict[str, Any] = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ModelError(f"{where}: the model's card is not JSON ({error})") from None
         if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
             raise ModelError(f"{where}: not a kinecast model")
@@ -92,16 +97,21 @@ class ModelCard:
                 data[name] = tuple(str(item) for item in data.get(name, ()))
             data["limits"] = _limits_from(data.get("limits", {}))
             card = ModelCard(**data)
-        except (TypeError, ValueError, OptionError) as error:
+        except (AttributeError, TypeError, ValueError) as error:
             raise ModelError(f"{where}: {error}") from None
+        for name, kinds in FIELD_KINDS.items():
+            value = getattr(card, name)
+            if not isinstance(value, kinds) or isinstance(value, bool):
+                raise ModelError(f"{where}: {name} is {value!r}, of the wrong type")
         if card.joints != ARM_JOINTS:
             raise ModelError(f"{where}: a model of the joints {card.joints}; this kinecast predicts {ARM_JOINTS}")
-        whole = isinstance(card.frames, int) and isinstance(card.steps, int)
-        if not (whole and 2 <= card.frames <= 1000 and 1 <= card.steps <= 1000 and 0 < card.rate <= 1000):
+        if not (2 <= card.frames <= 1000 and 1 <= card.steps <= 1000 and 0 < card.rate <= 1000):
             raise ModelError(
                 f"{where}: frames {card.frames}, steps {card.steps}, rate {card.rate}; "
                 "allowed are 2..1000, 1..1000 and (0, 1000] Hz"
             )
+        if not 0 <= card.noise <= 1:
+            raise ModelError(f"{where}: noise {card.noise} m is outside 0..1")
         return card
 
 
@@ -114,21 +124,22 @@ def write_checkpoint(path: Path, card: ModelCard, arrays: dict[str, np.ndarray])
     """Writes a model whole or not at all: under another name first, then moved into place.
 
     Raises:
-        ModelError: the folder does not exist or cannot be written.
+        ModelError: the folder does not exist or cannot be written, or the path is a folder.
     """
     stored = {CARD: np.frombuffer(card.to_json().encode(), np.uint8), **arrays}
+    partial: str | None = None
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    except OSError as error:
-        raise ModelError(f"{path}: cannot write ({error.strerror})") from None
-    try:
+        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
         with os.fdopen(handle, "wb") as file:
             np.savez_compressed(file, allow_pickle=False, **stored)
-        os.chmod(name, 0o644)  # mkstemp's is for its owner alone
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        os.chmod(partial, 0o644)  # mkstemp's is for its owner alone
+        os.replace(partial, path)
+        partial = None
+    except OSError as error:
+        raise ModelError(f"{path}: cannot write ({error.strerror})") from None
+    finally:
+        if partial is not None:
+            Path(partial).unlink(missing_ok=True)
 
 
 def read_checkpoint(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
@@ -138,6 +149,8 @@ def read_checkpoint(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
         ModelError: unreadable, not a kinecast model, too large, or with arrays that are not plain finite numbers.
     """
     try:
+        if path.stat().st_size > LARGEST:
+            raise ModelError(f"{path}: {path.stat().st_size} bytes; allowed are {LARGEST}")
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
             size = sum(member.file_size for member in members)
@@ -147,7 +160,8 @@ def read_checkpoint(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except ModelError:
         raise
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+    except Exception as error:
+        # A foreign file can fail in any way: bad zip, encrypted, unknown compression, a header that asks for terabytes.
         raise ModelError(f"{path}: not a readable model file ({error})") from None
     if CARD not in arrays or arrays[CARD].dtype != np.uint8:
         raise ModelError(f"{path}: not a kinecast model (it has no card)")

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
+from kinecast.body.arm_angles import TURN
 from kinecast.body.posture import coordinates_from_postures, postures_from_coordinates, postures_from_points
 from kinecast.prediction.allowance import Allowance
 
@@ -34,6 +35,9 @@ BLOCKS = ((0, 3), (1, 2), (4, 5))
 """Joints of each block: shoulders, left elbow and wrist, right elbow and wrist."""
 JOINT_ORDER = [joint for block in BLOCKS for joint in block]
 """Permutation of the six joints into block order."""
+
+TURNING = (3, 6, 7, 12, 13)
+"""Coordinates that are angles: yaw, flexion and abduction of each arm."""
 
 Blocks = Float[np.ndarray, "T 3"]
 
@@ -133,10 +137,12 @@ class CoordinateGaussianDensity:
         return result
 
     def _log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+        # Only the way of writing the pose that is nearest to the mean counts: the others lie half a turn away.
         nearby = postures_from_coordinates(self.mean)
         postures = postures_from_points(positions[:, None], nearby, continuous=False)[:, 0]
-        inlier = gaussian_blocks(coordinates_from_postures(postures) - self.mean, self.cholesky)
-        inlier -= block_log_det(postures)
+        error = coordinates_from_postures(postures) - self.mean
+        error[:, TURNING] -= TURN * np.round(error[:, TURNING] / TURN)
+        inlier = gaussian_blocks(error, self.cholesky) - block_log_det(postures)
         # ∂(a, b)/∂(θ3, θ4) has determinant θ4.
         inlier[:, 1:] += _log_magnitude(postures[:, [9, 15]])
         return combine(inlier, fault_log_prob(positions, self.points), log_allowed(self.allowance, positions))
@@ -157,5 +163,5 @@ def block_log_det(postures: Float[np.ndarray, "T 18"]) -> Blocks:
     return np.stack([shoulders, *arms], axis=1)
 
 
-def _log_magnitude(values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+def _log_magnitude(values: Float[np.ndarray, "*b"]) -> Float[np.ndarray, "*b"]:
     return np.log(np.maximum(np.abs(values), 1e-12))

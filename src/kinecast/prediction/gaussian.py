@@ -22,6 +22,7 @@ from kinecast.body.posture import (
 )
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.allowance import Allowance
+from kinecast.prediction.arrays import covariance_factor
 from kinecast.prediction.baselines import MeanModel, mean_from_arrays
 from kinecast.prediction.density import JOINT_ORDER, CoordinateGaussianDensity, PositionGaussianDensity
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
@@ -145,7 +146,8 @@ class PositionGaussian:
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float) -> PositionGaussian:
         """The method that `to_arrays` described."""
-        return PositionGaussian(frames, steps, dt, mean_from_arrays(arrays), np.asarray(arrays["cholesky"], float))
+        mean_model = mean_from_arrays(arrays, frames, steps, 18)
+        return PositionGaussian(frames, steps, dt, mean_model, covariance_factor(arrays, "cholesky", 18 * steps))
 
 
 def posture_coordinates(
@@ -244,5 +246,6 @@ class PostureGaussian:
         limits: JointLimits | None,
     ) -> PostureGaussian:
         """The method that `to_arrays` described."""
-        cholesky = np.asarray(arrays["cholesky"], float)
-        return PostureGaussian(frames, steps, dt, mean_from_arrays(arrays), cholesky, noise, limits)
+        cholesky = covariance_factor(arrays, "cholesky", 18 * steps)
+        mean_model = mean_from_arrays(arrays, frames, steps, 18)
+        return PostureGaussian(frames, steps, dt, mean_model, cholesky, noise, limits)

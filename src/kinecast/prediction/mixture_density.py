@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
+from kinecast.body.arm_angles import TURN, nearest_turn
 from kinecast.body.limits import JointLimits, bounds, speeds_within_wrist_speed
-from kinecast.body.posture import postures_from_points
+from kinecast.body.posture import other_branch, postures_from_points
 from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.density import BLOCKS, block_log_det, combine, fault_log_prob, log_allowed
 from kinecast.prediction.gaussian import posture_bounds
@@ -26,6 +27,16 @@ from kinecast.prediction.truncated_normal import noisy_log_pdf
 __all__ = ["PositionSeriesDensity", "PostureSeriesDensity"]
 
 HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
+FAINT = 40.0
+"""A summand so many nats below the largest adds nothing."""
+NEVER = -500.0
+"""A log density of two angles below this adds nothing to any sum."""
+WIDE = 0.3
+"""Spread [rad] from which on more than the nearest turn of an angle counts."""
+LEAST_NOISE = 1e-6
+"""Where bounds leave a single value, its density needs some noise to be finite [m]."""
+MOST_NOISE = 0.95
+"""Greatest share of a learned spread that can be the sensor's."""
 
 
 @njit(cache=True, parallel=True)
@@ -51,10 +62,29 @@ def _normal_mixture(
     return out
 
 
+@njit(cache=True)
+@no_type_check
+def _add(top: float, total: float, value: float) -> tuple[float, float]:
+    """One more summand exp(value) to the sum exp(top) · total."""
+    if value > top:
+        return value, total * math.exp(top - value) + 1.0
+    if value > top - FAINT:
+        total += math.exp(value - top)
+    return top, total
+
+
+@njit(cache=True)
+@no_type_check
+def _parts(spread: float, noise: float) -> tuple[float, float]:
+    """Spread of the true angle and of its measurement's noise; together they are the spread that was learned."""
+    tau = min(noise, MOST_NOISE * spread)
+    return math.sqrt(spread * spread - tau * tau), tau
+
+
 @njit(cache=True, parallel=True)
 @no_type_check
 def _angle_mixture(
-    theta: Float[np.ndarray, "P T 4"],
+    theta: Float[np.ndarray, "B T 4"],
     means: Float[np.ndarray, "S T 18"],
     spreads: Float[np.ndarray, "S T 18"],
     before: Float[np.ndarray, "S T 18"],
@@ -65,41 +95,50 @@ def _angle_mixture(
     dt: float,
     noise: Float[np.ndarray, "T 4"],
 ) -> Float[np.ndarray, "T"]:
-    """log density of one arm's angles at each step, summed over the P ways of writing them.
+    """log density of one arm's angles at each step, summed over every way of writing them that a rollout may use.
 
-    θ1, θ2 and the pair (θ3, θ4) are independent mixtures over the samples.
+    θ1, θ2 and the pair (θ3, θ4) are independent mixtures over the samples. A process learned from measurements
+    predicts measurements: its spread holds the sensor's noise, which bounds do not bind. So each law is a normal of
+    variance σ² − τ² inside its bounds, plus noise of variance τ². The ways are both branches; whole turns;
+    and an elbow bent backwards, (θ3 + π, −θ4), which free draws and noise may bring.
     """
-    ways, steps, _ = theta.shape
+    branches, steps, _ = theta.shape
     draws = means.shape[0]
     out = np.empty(steps)
     for t in prange(steps):
-        best, whole = -np.inf, 0.0
-        for p in range(ways):
+        top, total = -np.inf, 0.0
+        for branch in range(branches):
             log_density = 0.0
-            for group in range(3):
-                top, total = -np.inf, 0.0
+            for part in range(2):
+                d = at + part
+                best, whole = -np.inf, 0.0
                 for s in range(draws):
-                    value = 0.0
-                    for part in range(group, 4 if group == 2 else group + 1):
-                        d = at + part
-                        lb, ub = bounds(lower[d], upper[d], ceilings[s, t, d], before[s, t, d], dt)
-                        value += noisy_log_pdf(
-                            theta[p, t, part], means[s, t, d], spreads[s, t, d], lb, ub, noise[t, part]
-                        )
-                    if value == -np.inf:
+                    mean, sd, tau = means[s, t, d], *_parts(spreads[s, t, d], noise[t, part])
+                    lb, ub = bounds(lower[d], upper[d], ceilings[s, t, d], before[s, t, d], dt)
+                    angle = nearest_turn(theta[branch, t, part], min(max(mean, lb), ub))
+                    best, whole = _add(best, whole, noisy_log_pdf(angle, mean, sd, lb, ub, tau))
+                log_density += best + math.log(whole / draws) if whole > 0.0 else -np.inf
+            if log_density < NEVER:
+                continue
+            best, whole = -np.inf, 0.0
+            for s in range(draws):
+                m3, sd3, tau3 = means[s, t, at + 2], *_parts(spreads[s, t, at + 2], noise[t, 2])
+                m4, sd4, tau4 = means[s, t, at + 3], *_parts(spreads[s, t, at + 3], noise[t, 3])
+                lb3, ub3 = bounds(lower[at + 2], upper[at + 2], ceilings[s, t, at + 2], before[s, t, at + 2], dt)
+                lb4, ub4 = bounds(lower[at + 3], upper[at + 3], ceilings[s, t, at + 3], before[s, t, at + 3], dt)
+                turns = 1 if spreads[s, t, at + 2] > WIDE else 0
+                for back in range(2):
+                    bend = -theta[branch, t, 3] if back else theta[branch, t, 3]
+                    log_bend = noisy_log_pdf(bend, m4, sd4, lb4, ub4, tau4)
+                    if log_bend < NEVER:
                         continue
-                    if value > top:
-                        total = total * math.exp(top - value) + 1.0
-                        top = value
-                    else:
-                        total += math.exp(value - top)
-                log_density += top + math.log(total / draws) if total > 0.0 else -np.inf
-            if log_density > best:
-                whole = whole * math.exp(best - log_density) + 1.0
-                best = log_density
-            elif log_density > -np.inf:
-                whole += math.exp(log_density - best)
-        out[t] = best + math.log(whole) if whole > 0.0 else -np.inf
+                    swing = nearest_turn(theta[branch, t, 2] + math.pi * back, min(max(m3, lb3), ub3))
+                    for turn in range(-turns, turns + 1):
+                        value = noisy_log_pdf(swing + turn * TURN, m3, sd3, lb3, ub3, tau3)
+                        best, whole = _add(best, whole, log_bend + value)
+            log_density += best + math.log(whole / draws) if whole > 0.0 else -np.inf
+            top, total = _add(top, total, log_density)
+        out[t] = top + math.log(total) if total > 0.0 else -np.inf
     return out
 
 
@@ -148,7 +187,7 @@ class PostureSeriesDensity:
         initial: (18,) last observed posture.
         limits: of the angles; None where they were drawn free.
         dt: time step [s].
-        noise: spread of a measured joint about the true one [m]; folded into the truncated normals.
+        noise: spread of a measured joint about the true one [m]; the part of each spread that bounds do not bind.
         allowance: the scene, or None.
     """
 
@@ -178,36 +217,15 @@ class PostureSeriesDensity:
         )
         lower, upper, speed, wrist_speed = posture_bounds(self.limits)
         ceilings = _ceilings(before, speed, wrist_speed)
-        noise = 0.0 if self.limits is None else self.noise
+        noise = 0.0 if self.limits is None else max(self.noise, LEAST_NOISE)
         blocks = [plain[:, :6].sum(axis=1)]
         for at in (6, 12):
             spread = angle_noise(postures[:, at : at + 6], np.full(3, noise))
+            theta = postures[:, at : at + 4]
+            branches = np.stack([theta, other_branch(theta)])
             angles = _angle_mixture(
-                _ways(postures[:, at : at + 4]),
-                self.means,
-                self.spreads,
-                before,
-                at,
-                lower,
-                upper,
-                ceilings,
-                self.dt,
-                spread,
+                branches, self.means, self.spreads, before, at, lower, upper, ceilings, self.dt, spread
             )
             blocks.append(angles + plain[:, at + 4 : at + 6].sum(axis=1))
         inlier = np.stack(blocks, axis=1) - block_log_det(postures)
         return combine(inlier, fault_log_prob(positions, self.mean), log_allowed(self.allowance, positions))
-
-
-def _ways(theta: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "P T 4"]:
-    """The ways of writing an arm's angles that a rollout may have used.
-
-    Whole turns of θ3, and the elbow bent the other way with the upper arm turned round (θ3 + π, −θ4).
-    """
-    turn = 2 * np.pi
-    shifts = [(0.0, 1.0), (turn, 1.0), (-turn, 1.0), (np.pi, -1.0), (-np.pi, -1.0)]
-    ways = np.repeat(theta[None], len(shifts), axis=0)
-    for way, (shift, sign) in zip(ways, shifts, strict=True):
-        way[:, 2] += shift
-        way[:, 3] *= sign
-    return ways

@@ -25,15 +25,15 @@ def sensor_noise(windows: TrainingWindows) -> float:
     return float(max(1.4826 * np.median(np.median(third, axis=1)) / np.sqrt(20.0), 1e-4))
 
 
-def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "*b 4"]:
+def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, "*#b 3"]) -> Float[np.ndarray, "*b 4"]:
     """Spread of θ1..θ4 that independent noise of the joints brings, to first order [rad].
 
     Args:
         arm: (…, 6) angles and lengths of one arm (kinecast.body.posture).
-        noise: (3,) spread of shoulder, elbow and wrist along each axis [m].
+        noise: (3,) or (…, 3) spread of shoulder, elbow and wrist along each axis [m].
     """
-    upper = np.hypot(noise[0], noise[1]) / arm[..., 4]
-    fore = np.hypot(noise[1], noise[2]) / arm[..., 5]
+    upper = np.hypot(noise[..., 0], noise[..., 1]) / arm[..., 4]
+    fore = np.hypot(noise[..., 1], noise[..., 2]) / arm[..., 5]
     return np.stack(
         [
             upper / np.maximum(np.abs(np.cos(arm[..., 1])), LEAST_SINE),

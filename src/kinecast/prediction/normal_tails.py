@@ -10,6 +10,7 @@ density and distribution function of N(0, 1):
 from __future__ import annotations
 
 import math
+from typing import no_type_check
 
 from numba import njit
 
@@ -29,6 +30,7 @@ MAX_ITERATIONS = 20
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def mills_ratio(c: float) -> float:
     """M(c) = Φ(−c) / φ(c) for c ≥ 0, relative error below 2e-14.
 
@@ -45,6 +47,7 @@ def mills_ratio(c: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def log_ndtr(x: float) -> float:
     """log Φ(x), finite down to x = −1e154 and accurate up to x = 37, where it becomes −0."""
     if x > 0.0:
@@ -55,6 +58,7 @@ def log_ndtr(x: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def log_survival(c: float, t: float) -> float:
     """log S(c, t) = log Φ(−c − t) − log Φ(−c) for c, t ≥ 0, relative error below 1e-11 for any t."""
     if t == math.inf:
@@ -63,6 +67,7 @@ def log_survival(c: float, t: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def _log_survival(c: float, t: float, mills: float, mills_beyond: float) -> float:
     """log S(c, t) given M(c) and M(c + t).
 
@@ -77,6 +82,7 @@ def _log_survival(c: float, t: float, mills: float, mills_beyond: float) -> floa
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def tail_offset(c: float, loss: float) -> float:
     """The step t ≥ 0 into the tail beyond c with log S(c, t) = −loss.
 
@@ -105,6 +111,7 @@ def tail_offset(c: float, loss: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def ndtri_exp(logp: float) -> float:
     """Quantile of log p: the x with log Φ(x) = log p, relative error below 1e-12 for log p as given.
 

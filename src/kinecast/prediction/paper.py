@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import coordinates_from_postures, points_from_postures, postures_from_points
+from kinecast.errors import ModelError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.allowance import Allowance
+from kinecast.prediction.arrays import shaped
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
 from kinecast.prediction.gaussian import posture_bounds, posture_coordinates
 from kinecast.prediction.mixture_density import PositionSeriesDensity, PostureSeriesDensity
@@ -33,6 +35,7 @@ LENGTHS = (10, 11, 16, 17)
 """Where a posture holds bone lengths: left upper arm and forearm, right upper arm and forearm."""
 
 
+@runtime_checkable
 class SeriesOptions(Protocol):
     """What training a set of series needs to know (kinecast.prediction.methods.TrainingOptions)."""
 
@@ -192,5 +195,7 @@ class PostureSeries:
     ) -> PostureSeries:
         """The method that `to_arrays` described."""
         stack = stack_from_arrays(arrays, len(SERIES), frames)
-        spread = np.asarray(arrays["length_spread"], float)
+        spread = shaped(arrays, "length_spread", steps, len(LENGTHS))
+        if not (spread > 0).all():
+            raise ModelError("array length_spread holds values that are not above 0")
         return PostureSeries(frames, steps, dt, stack, spread, noise, limits)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
@@ -45,7 +45,7 @@ class PredictorOptions:
     samples: int = 1000
     seed: int = 0
     longest_delay: float = 0.3
-    most_persons: int = 16
+    most_persons: int = 64
     forget_after: float = 5.0
 
     def __post_init__(self) -> None:
@@ -78,7 +78,6 @@ class Predictor:
         self.noise = noise
         self.scene = scene
         self.options = options or PredictorOptions()
-        self._rng = np.random.default_rng(self.options.seed)
         self._tracks: dict[str, Track] = {}
         self._warm_up()
 
@@ -131,28 +130,30 @@ class Predictor:
         except Exception:
             # The loop of a robot must go on whatever happens here; the status makes it stop or slow down.
             log.exception("prediction failed for person %r at %r", frame.person, frame.stamp)
-            prediction = self._reachable(frame.person, frame.stamp, None, Status.FAULT)
+            prediction = self._fault(frame)
         milliseconds = 1e3 * (time.perf_counter() - started)
         return replace(prediction, diagnostics={**prediction.diagnostics, "milliseconds": milliseconds})
 
     def _observe(self, frame: SkeletonFrame, now: float) -> Prediction:
         if not np.isfinite(frame.stamp) or not np.isfinite(now):
-            return self._reachable(frame.person, 0.0, None, Status.FAULT)
+            return self._fault(frame)
         track = self._track(frame)
         taken = track.add(frame)
         observation, trouble = track.observation(self.noise)
         if observation is None:
-            seen = track.arms[-1] if track.arms else None
-            return self._reachable(frame.person, frame.stamp, seen, trouble)
+            return self._reachable(frame.person, track.stamps[-1], now, *track.last_seen(), trouble, track.rng)
         memory = self._follow(track, observation)
-        forecast = forecast_with(self.method, memory, observation, self._rng, self.options.samples, self.scene)
+        forecast = forecast_with(self.method, memory, observation, track.rng, self.options.samples, self.scene)
+        if not np.isfinite(forecast.samples).all():
+            return self._fault(frame)
         if taken is Status.OK and forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE:
             taken = Status.UNFAMILIAR
         status = trouble if trouble is not Status.OK else taken
         if forecast.blocked:
             status = Status.BLOCKED
         delay = now - observation.stamp
-        if not -self.method.dt <= delay <= self.options.longest_delay:
+        passed = delay >= self.method.steps * self.method.dt
+        if passed or not -self.method.dt <= delay <= self.options.longest_delay:
             status = Status.LATE
         return self._prediction(frame.person, observation, forecast, status, now)
 
@@ -174,9 +175,7 @@ class Predictor:
         self, person: str, observation: Observation, forecast: Forecast, status: Status, now: float
     ) -> Prediction:
         times = observation.times(self.method.steps)
-        ahead = times > now + 1e-9
-        if not ahead.any():
-            ahead[-1] = True
+        ahead = _ahead(times, now)
         samples = forecast.samples[:, ahead]
         spread = samples - samples.mean(axis=0)
         return Prediction(
@@ -204,42 +203,69 @@ class Predictor:
                 if track.stamps and frame.stamp - track.stamps[-1] > self.options.forget_after:
                     del self._tracks[person]
             if len(self._tracks) >= self.options.most_persons:
-                newest = {person: track.stamps[-1] for person, track in self._tracks.items() if track.stamps}
+                newest = {person: max(track.stamps, default=-np.inf) for person, track in self._tracks.items()}
                 del self._tracks[min(newest, key=lambda person: newest[person])]
-            self._tracks[frame.person] = Track(self.method.dt, self.method.frames)
+            # A generator each: who else is in view changes nothing.
+            rng = np.random.default_rng([self.options.seed, *frame.person.encode()])
+            self._tracks[frame.person] = Track(self.method.dt, self.method.frames, rng)
         return self._tracks[frame.person]
 
-    def _reachable(
-        self, person: str, stamp: float, arms: Float[np.ndarray, "6 3"] | None, status: Status
-    ) -> Prediction:
-        """All that a person can reach from where the arms are: said while nothing better is known.
+    def _fault(self, frame: SkeletonFrame) -> Prediction:
+        """What is said of a frame that cannot be used: nothing but NaN."""
+        try:
+            stamp = float(frame.stamp)
+        except (TypeError, ValueError, OverflowError):
+            stamp = 0.0
+        stamp = stamp if np.isfinite(stamp) else 0.0
+        rng = np.random.default_rng(self.options.seed)
+        nowhere = np.full((6, 3), np.nan)
+        return self._reachable(frame.person, stamp, stamp, nowhere, np.zeros(6), Status.FAULT, rng)
 
-        Joints not seen, and all of them without `arms`, are NaN.
+    def _reachable(
+        self,
+        person: str,
+        stamp: float,
+        now: float,
+        seen: Float[np.ndarray, "6 3"],
+        age: Float[np.ndarray, "6"],
+        status: Status,
+        rng: np.random.Generator,
+    ) -> Prediction:
+        """All that a person can reach from where the arms were last seen: said while nothing better is known.
+
+        Args:
+            seen: (6, 3) last known place of each joint [m]; NaN where never seen, and so is what is predicted.
+            age: (6,) how long before the stamp that was [s].
         """
-        steps = np.arange(1, self.method.steps + 1)
-        centre = np.full((6, 3), np.nan) if arms is None else arms
-        reach = HAND_SPEED * self.method.dt * steps
-        directions = self._rng.standard_normal((self.options.samples, 1, 6, 3))
+        times = stamp + self.method.dt * np.arange(1, self.method.steps + 1)
+        times = times[_ahead(times, now)]
+        reach = HAND_SPEED * ((times - stamp)[:, None] + age)
+        directions = rng.standard_normal((self.options.samples, 1, 6, 3))
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        radii = np.cbrt(self._rng.random((self.options.samples, 1, 6, 1)))
-        samples = centre + directions * radii * reach[:, None, None]
-        # A ball filled evenly has variance r²/5 along each axis.
-        covariance = (reach**2 / 5)[:, None, None, None] * np.eye(3) * np.ones((6, 1, 1))
+        radii = np.cbrt(rng.random((self.options.samples, 1, 6, 1)))
         return Prediction(
             stamp=stamp,
-            times=stamp + self.method.dt * steps,
-            samples=samples,
-            mean=np.repeat(centre[None], len(steps), axis=0),
-            covariance=covariance,
+            times=times,
+            samples=seen + directions * radii * reach[..., None],
+            mean=np.repeat(seen[None], len(times), axis=0),
+            # A ball filled evenly has variance r²/5 along each axis.
+            covariance=(reach**2 / 5)[..., None, None] * np.eye(3),
             joints=ARM_JOINTS,
             person=person,
             status=status,
             diagnostics={
                 "accepted_fraction": 1.0,
                 "effective_sample_size": float(self.options.samples),
-                "delay": 0.0,
+                "delay": max(now - stamp, 0.0),
             },
         )
+
+
+def _ahead(times: Float[np.ndarray, " T"], now: float) -> Bool[np.ndarray, " T"]:
+    """(T,) the instants still to come; the last one alone where none is."""
+    ahead = times > now + 1e-9
+    ahead[-1] |= not ahead.any()
+    return np.asarray(ahead)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from numba import njit, prange
 
 from kinecast.body.arm_angles import nearest_turn
 from kinecast.body.limits import bounds, speeds_within_wrist_speed
-from kinecast.prediction.series import SeriesStack, next_value
+from kinecast.prediction.lanes import LANES, Tiles, lane_memory, next_values, tiled
+from kinecast.prediction.series import SeriesStack
 from kinecast.prediction.truncated_normal import keep_or_redraw, sample
 
 __all__ = ["RELATIVE", "SERIES", "polar", "roll_gaussian", "roll_positions", "roll_series"]
@@ -26,6 +27,9 @@ RELATIVE = 5
 """Coordinates below this, the torso's pose, are predicted relative to their last value."""
 SHORTEST = 0.05
 """No bone and no shoulder width is drawn shorter [m]."""
+
+UNIFORM = math.pi / math.sqrt(3.0)
+"""Spread of an angle of which nothing is known [rad]."""
 
 INNOVATION = 6.0
 """A draw forced by bounds moves what follows by at most this many standard deviations."""
@@ -45,7 +49,7 @@ def _dot(a: Float[np.ndarray, " K"], b: Float[np.ndarray, " K"], count: int) -> 
 def polar(a: float, b: float, sd_a: float, sd_b: float, previous: float) -> tuple[float, float, float, float]:
     """Mean and spread of (θ3, θ4) from those of the smooth pair (a, b) = (θ4 cos θ3, θ4 sin θ3).
 
-    First order away from a straight elbow; at one, θ3's spread grows until it is all but uniform.
+    First order away from a straight elbow; at one, θ3's spread grows until it is that of a uniform angle.
 
     Returns:
         mean θ3 (nearest turn to `previous`), its spread, mean θ4, its spread [rad].
@@ -54,7 +58,7 @@ def polar(a: float, b: float, sd_a: float, sd_b: float, previous: float) -> tupl
     cos, sin = (a / bend, b / bend) if bend > 1e-9 else (1.0, 0.0)
     sd_bend = math.hypot(sd_a * cos, sd_b * sin)
     sd_swing = math.hypot(sd_a * sin, sd_b * cos) / max(bend, sd_bend)
-    return nearest_turn(math.atan2(sin, cos), previous), sd_swing, bend, sd_bend
+    return nearest_turn(math.atan2(sin, cos), previous), min(sd_swing, UNIFORM), bend, sd_bend
 
 
 @njit(cache=True, parallel=True)
@@ -141,8 +145,6 @@ def roll_gaussian(
     return postures
 
 
-@njit(cache=True, parallel=True)
-@no_type_check
 def roll_series(
     window: Float[np.ndarray, "N 18"],
     offsets: Float[np.ndarray, "S 18"],
@@ -179,60 +181,121 @@ def roll_series(
     Returns:
         (S, T, 18) postures, and (S, T, 18) mean and (S, T, 18) spread of the normal behind each number.
     """
-    frames = window.shape[0]
-    draws, steps = normals.shape[:2]
-    postures = np.empty((draws, steps, 18))
-    means = np.empty((draws, steps, 18))
-    spreads = np.empty((draws, steps, 18))
-    for s in prange(draws):
-        past = window + offsets[s]
-        before = initial.copy()
-        ceiling = np.empty(18)
-        now = np.empty(18)
-        values = np.empty(frames)
-        kernel = np.empty(stack.pseudo.shape[2])
-        for t in range(steps):
-            speeds_within_wrist_speed(before, speed, wrist_speed, ceiling)
-            mean, spread = means[s, t], spreads[s, t]
-            for series in range(len(SERIES)):
-                d = SERIES[series]
-                last = past[frames - 1, d] if d < RELATIVE else 0.0
-                for n in range(frames):
-                    values[n] = past[n, d] - last
-                mean[d], spread[d] = next_value(values, series, stack, kernel)
-                mean[d] += last
-            for d in range(6):
-                before[d] = mean[d] + spread[d] * normals[s, t, d]
-            before[5] = max(before[5], SHORTEST)
-            for arm in range(2):
-                at = 6 + 6 * arm
-                m3, sd3, m4, sd4 = polar(mean[at + 2], mean[at + 3], spread[at + 2], spread[at + 3], before[at + 2])
-                mean[at + 2], spread[at + 2], mean[at + 3], spread[at + 3] = m3, sd3, m4, sd4
-                for part in range(4):
-                    d = at + part
-                    lb, ub = bounds(lower[d], upper[d], ceiling[d], before[d], dt)
-                    draw = mean[d] + spread[d] * normals[s, t, d]
-                    before[d] = keep_or_redraw(draw, uniforms[s, t, 4 * arm + part], mean[d], spread[d], lb, ub)
-                for bone in range(2):
-                    d = at + 4 + bone
-                    mean[d], spread[d] = initial[d], length_spread[t, 2 * arm + bone]
-                    # One error for all steps: a bone's length does not flicker.
-                    before[d] = max(mean[d] + spread[d] * normals[s, 0, d], SHORTEST)
-            postures[s, t] = before
-            now[:] = before
-            for at in (8, 14):
-                now[at], now[at + 1] = (
-                    before[at + 1] * math.cos(before[at]),
-                    before[at + 1] * math.sin(before[at]),
-                )
-            for n in range(frames - 1):
-                past[n] = past[n + 1]
-            past[frames - 1] = now
-    return postures, means, spreads
+    return _roll_series(
+        window, offsets, tiled(stack), length_spread, initial, normals, uniforms, lower, upper, speed, wrist_speed, dt
+    )
 
 
 @njit(cache=True, parallel=True)
 @no_type_check
+def _roll_series(
+    window: Float[np.ndarray, "N 18"],
+    offsets: Float[np.ndarray, "S 18"],
+    tiles: Tiles,
+    length_spread: Float[np.ndarray, "T 4"],
+    initial: Float[np.ndarray, "18"],
+    normals: Float[np.ndarray, "S T 18"],
+    uniforms: Float[np.ndarray, "S T 8"],
+    lower: Float[np.ndarray, "18"],
+    upper: Float[np.ndarray, "18"],
+    speed: Float[np.ndarray, "18"],
+    wrist_speed: float,
+    dt: float,
+) -> tuple[Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"]]:
+    frames, (draws, steps) = window.shape[0], normals.shape[:2]
+    postures = np.empty((draws, steps, 18))
+    means = np.empty((draws, steps, 18))
+    spreads = np.empty((draws, steps, 18))
+    for block in prange((draws + LANES - 1) // LANES):
+        first = block * LANES
+        lanes = min(LANES, draws - first)
+        past = _past(window, offsets[first : first + lanes], steps)
+        memory = lane_memory(tiles)
+        values, mean, spread = np.empty((frames, LANES)), np.empty(LANES), np.empty(LANES)
+        ceiling = np.empty(18)
+        for t in range(steps):
+            for series in range(len(SERIES)):
+                d = SERIES[series]
+                share = 1.0 if d < RELATIVE else 0.0
+                for n in range(frames):
+                    for lane in range(LANES):
+                        values[n, lane] = past[d, t + n, lane] - share * past[d, t + frames - 1, lane]
+                next_values(values, series, tiles, memory, mean, spread)
+                for lane in range(lanes):
+                    means[first + lane, t, d] = mean[lane] + share * past[d, t + frames - 1, lane]
+                    spreads[first + lane, t, d] = spread[lane]
+            for lane in range(lanes):
+                s = first + lane
+                now = postures[s, t]
+                now[:] = initial if t == 0 else postures[s, t - 1]
+                speeds_within_wrist_speed(now, speed, wrist_speed, ceiling)
+                _draw_posture(
+                    now, means[s, t], spreads[s, t], initial, length_spread[t], normals[s, t], normals[s, 0],
+                    uniforms[s, t], lower, upper, ceiling, dt,
+                )  # fmt: skip
+                for d in SERIES:
+                    past[d, t + frames, lane] = now[d]
+                for at in (8, 14):
+                    past[at, t + frames, lane] = now[at + 1] * math.cos(now[at])
+                    past[at + 1, t + frames, lane] = now[at + 1] * math.sin(now[at])
+    return postures, means, spreads
+
+
+@njit(cache=True)
+@no_type_check
+def _past(
+    window: Float[np.ndarray, "N D"], offsets: Float[np.ndarray, "B D"], steps: int
+) -> Float[np.ndarray, "D N+T L"]:
+    """The window of each sample in a lane of its own, with room for what is drawn; lanes left over repeat the last."""
+    frames, size = window.shape
+    past = np.empty((size, frames + steps, LANES))
+    for d in range(size):
+        for n in range(frames):
+            for lane in range(LANES):
+                past[d, n, lane] = window[n, d] + offsets[min(lane, len(offsets) - 1), d]
+        past[d, frames:] = 0.0
+    return past
+
+
+@njit(cache=True)
+@no_type_check
+def _draw_posture(
+    now: Float[np.ndarray, "18"],
+    mean: Float[np.ndarray, "18"],
+    spread: Float[np.ndarray, "18"],
+    initial: Float[np.ndarray, "18"],
+    length_spread: Float[np.ndarray, "4"],
+    normals: Float[np.ndarray, "18"],
+    bone_normals: Float[np.ndarray, "18"],
+    uniforms: Float[np.ndarray, "8"],
+    lower: Float[np.ndarray, "18"],
+    upper: Float[np.ndarray, "18"],
+    ceiling: Float[np.ndarray, "18"],
+    dt: float,
+) -> None:
+    """One step of one sample: `now` goes from the last posture to the next.
+
+    `mean` and `spread` come as those of the smooth coordinates and leave as those of the posture's own numbers.
+    """
+    for d in range(6):
+        now[d] = mean[d] + spread[d] * normals[d]
+    now[5] = max(now[5], SHORTEST)
+    for arm in range(2):
+        at = 6 + 6 * arm
+        m3, sd3, m4, sd4 = polar(mean[at + 2], mean[at + 3], spread[at + 2], spread[at + 3], now[at + 2])
+        mean[at + 2], spread[at + 2], mean[at + 3], spread[at + 3] = m3, sd3, m4, sd4
+        for part in range(4):
+            d = at + part
+            lb, ub = bounds(lower[d], upper[d], ceiling[d], now[d], dt)
+            draw = mean[d] + spread[d] * normals[d]
+            now[d] = keep_or_redraw(draw, uniforms[4 * arm + part], mean[d], spread[d], lb, ub)
+        for bone in range(2):
+            d = at + 4 + bone
+            mean[d], spread[d] = initial[d], length_spread[2 * arm + bone]
+            # One error for all steps: a bone's length does not flicker.
+            now[d] = max(mean[d] + spread[d] * bone_normals[d], SHORTEST)
+
+
 def roll_positions(
     window: Float[np.ndarray, "N 18"],
     offsets: Float[np.ndarray, "S 18"],
@@ -250,21 +313,33 @@ def roll_positions(
     Returns:
         (S, T, 18) coordinates, and (S, T, 18) mean and (S, T, 18) spread of the normal behind each [m].
     """
-    frames = window.shape[0]
-    draws, steps = normals.shape[:2]
+    return _roll_positions(window, offsets, tiled(stack), normals)
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def _roll_positions(
+    window: Float[np.ndarray, "N 18"],
+    offsets: Float[np.ndarray, "S 18"],
+    tiles: Tiles,
+    normals: Float[np.ndarray, "S T 18"],
+) -> tuple[Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"]]:
+    frames, (draws, steps) = window.shape[0], normals.shape[:2]
     positions = np.empty((draws, steps, 18))
     means = np.empty((draws, steps, 18))
     spreads = np.empty((draws, steps, 18))
-    for s in prange(draws):
-        kernel = np.empty(stack.pseudo.shape[2])
-        values = np.empty(frames)
+    for block in prange((draws + LANES - 1) // LANES):
+        first = block * LANES
+        lanes = min(LANES, draws - first)
+        past = _past(window, offsets[first : first + lanes], steps)
+        memory = lane_memory(tiles)
+        mean, spread = np.empty(LANES), np.empty(LANES)
         for d in range(18):
-            values[:] = window[:, d] + offsets[s, d]
             for t in range(steps):
-                mean, spread = next_value(values, d, stack, kernel)
-                value = mean + spread * normals[s, t, d]
-                for n in range(frames - 1):
-                    values[n] = values[n + 1]
-                values[frames - 1] = value
-                positions[s, t, d], means[s, t, d], spreads[s, t, d] = value, mean, spread
+                next_values(past[d, t : t + frames], d, tiles, memory, mean, spread)
+                for lane in range(lanes):
+                    s = first + lane
+                    value = mean[lane] + spread[lane] * normals[s, t, d]
+                    past[d, t + frames, lane] = value
+                    positions[s, t, d], means[s, t, d], spreads[s, t, d] = value, mean[lane], spread[lane]
     return positions, means, spreads

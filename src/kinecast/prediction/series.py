@@ -132,4 +132,6 @@ def stack_from_arrays(arrays: Mapping[str, np.ndarray], count: int, inputs: int)
     for name, shape in expected.items():
         if getattr(stack, name).shape != shape:
             raise ModelError(f"array {name} of shape {getattr(stack, name).shape}; expected {shape}")
+    if not ((stack.noise > 0) & (stack.signal > 0)).all():
+        raise ModelError("arrays signal and noise hold variances that are not above 0")
     return stack

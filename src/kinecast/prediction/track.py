@@ -24,9 +24,9 @@ LONGEST_GAP = 0.3
 BACKWARDS = 1.0
 """A stamp older than the newest by more than this [s] is a new clock, not a late frame."""
 BONES = (0.10, 0.60)
-"""Lengths of upper arm and forearm that a person can have [m]; from infant to the tallest on record."""
+"""Lengths of upper arm, forearm and shoulder line that a person can have [m]; from infant to the tallest on record."""
 
-ELBOWS = ((0, 1), (1, 2), (3, 4), (4, 5))
+BONE_ENDS = ((0, 1), (1, 2), (3, 4), (4, 5), (0, 3))
 
 
 @dataclass
@@ -36,11 +36,13 @@ class Track:
     Attributes:
         dt: time between frames of the model's grid [s].
         frames: N, frames of the model's window.
+        rng: of this person's predictions.
         memory: what a method that follows the person remembers, and `followed`, the stamp of its newest frame.
     """
 
     dt: float
     frames: int
+    rng: np.random.Generator
     stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     arms: deque[Float[np.ndarray, "6 3"]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     source: UpSource | None = None
@@ -59,7 +61,11 @@ class Track:
 
         Returns:
             OK, LATE (older than the newest, not taken in) or REPEATED (the same as the newest).
+
+        Raises:
+            ValueError: arrays whose shapes do not fit the joints' names.
         """
+        _check_shapes(frame)
         if self.stamps:
             age = self.stamps[-1] - frame.stamp
             if 0 <= age <= BACKWARDS:
@@ -84,6 +90,13 @@ class Track:
         torso = torso_frame(frame.joints, frame.positions, self.source, self.lean)
         if np.isfinite(torso.lean):
             self.lean = float(torso.lean)
+
+    def last_seen(self) -> tuple[Float[np.ndarray, "6 3"], Float[np.ndarray, "6"]]:
+        """(6, 3) where each joint was last seen [m], NaN for never, and (6,) how long before the newest frame [s]."""
+        stamps, arms = np.array(self.stamps), np.array(self.arms)
+        seen = np.isfinite(arms).all(axis=-1)
+        row = len(arms) - 1 - np.argmax(seen[::-1], axis=0)
+        return arms[row, np.arange(6)], stamps[-1] - stamps[row]
 
     def observation(self, noise: float) -> tuple[Observation | None, Status]:
         """The window on the model's grid, ending at the newest frame, and what was wrong with it.
@@ -110,7 +123,7 @@ class Track:
         return observation, self._status(positions[-1], trouble, float(np.diff(stamps[first:]).max()))
 
     def _status(self, last: Float[np.ndarray, "6 3"], trouble: Trouble, longest: float) -> Status:
-        bones = np.array([np.linalg.norm(last[a] - last[b]) for a, b in ELBOWS])
+        bones = np.array([np.linalg.norm(last[a] - last[b]) for a, b in BONE_ENDS])
         if not ((bones > BONES[0]) & (bones < BONES[1])).all():
             return Status.IMPLAUSIBLE
         if trouble & Trouble.JUMP:
@@ -120,6 +133,13 @@ class Track:
         if trouble & Trouble.GAP or longest > 2.5 * self.dt:
             return Status.GAP
         return Status.REPEATED if trouble & Trouble.REPEATED else Status.OK
+
+
+def _check_shapes(frame: SkeletonFrame) -> None:
+    joints = len(frame.joints)
+    if frame.positions.shape != (joints, 3) or (frame.std is not None and frame.std.shape != (joints,)):
+        std = None if frame.std is None else frame.std.shape
+        raise ValueError(f"positions {frame.positions.shape} and std {std} for {joints} joints")
 
 
 def _arms(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:

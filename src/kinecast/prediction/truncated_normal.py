@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -55,6 +55,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def _nearest(x: float, lower: float, upper: float) -> float:
     """The point of [lower, upper] nearest to x; NaN where x is."""
     if x < lower:
@@ -65,6 +66,7 @@ def _nearest(x: float, lower: float, upper: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def _tilt(x: float, near: float, mean: float, sd: float) -> float:
     """log p(x) − log p(near) = −[(x − μ)² − (near − μ)²] / 2σ², without cancellation."""
     t = (x - near) / sd
@@ -72,6 +74,7 @@ def _tilt(x: float, near: float, mean: float, sd: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def _log_weight(mean: float, sd: float, lower: float, upper: float) -> float:
     """log W = log ∫ exp(−[(x − μ)² − (r − μ)²] / 2σ²) dx over [lower, upper]; σ > 0."""
     if lower < mean < upper:
@@ -83,6 +86,7 @@ def _log_weight(mean: float, sd: float, lower: float, upper: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def log_mass(mean: float, sd: float, lower: float, upper: float) -> float:
     """log P(lower < X < upper) = log [Φ((ub − μ)/σ) − Φ((lb − μ)/σ)] for X ~ N(μ, σ²), σ > 0."""
     if lower >= upper:
@@ -92,6 +96,7 @@ def log_mass(mean: float, sd: float, lower: float, upper: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def _loss(p: float, q: float, log_end: float) -> float:
     """−log of the survival q + p·S at the p-quantile of a tail cut off where its survival is S; q = 1 − p."""
     if p < 0.5:
@@ -100,6 +105,7 @@ def _loss(p: float, q: float, log_end: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def sample(uniform: float, mean: float, sd: float, lower: float, upper: float) -> float:
     """The quantile at `uniform` in (0, 1): a draw from the truncated normal, always inside [lower, upper].
 
@@ -130,6 +136,7 @@ def sample(uniform: float, mean: float, sd: float, lower: float, upper: float) -
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def keep_or_redraw(draw: float, uniform: float, mean: float, sd: float, lower: float, upper: float) -> float:
     """The draw where it keeps its bounds, else a fresh one from the truncated normal: Eq. 2's law, cheaply.
 
@@ -143,6 +150,7 @@ def keep_or_redraw(draw: float, uniform: float, mean: float, sd: float, lower: f
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def log_pdf(x: float, mean: float, sd: float, lower: float, upper: float) -> float:
     """log p(x); −∞ outside the bounds, ∞ on a point mass."""
     if x < lower or x > upper:
@@ -154,6 +162,7 @@ def log_pdf(x: float, mean: float, sd: float, lower: float, upper: float) -> flo
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def log_cdf(x: float, mean: float, sd: float, lower: float, upper: float) -> float:
     """log P(X ≤ x), accurate relative to P."""
     near = _nearest(mean, lower, upper)
@@ -168,6 +177,7 @@ def log_cdf(x: float, mean: float, sd: float, lower: float, upper: float) -> flo
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def moments(mean: float, sd: float, lower: float, upper: float) -> tuple[float, float]:
     """Mean and variance, by a Gauss–Legendre rule over the part of [lower, upper] that carries the mass."""
     near = _nearest(mean, lower, upper)
@@ -192,6 +202,7 @@ def moments(mean: float, sd: float, lower: float, upper: float) -> tuple[float, 
 
 
 @njit(cache=True, error_model="numpy")
+@no_type_check
 def noisy_log_pdf(y: float, mean: float, sd: float, lower: float, upper: float, noise_sd: float) -> float:
     """log density at y of X + ε, with X the truncated normal and ε ~ N(0, τ²) independent of it.
 
@@ -220,31 +231,37 @@ _each: Callable[[Callable[..., float]], Callable[..., Numbers]] = vectorize(cach
 
 
 @_each
+@no_type_check
 def _samples(uniform: float, mean: float, sd: float, lower: float, upper: float) -> float:
     return sample(uniform, mean, sd, lower, upper)
 
 
 @_each
+@no_type_check
 def _log_pdfs(x: float, mean: float, sd: float, lower: float, upper: float) -> float:
     return log_pdf(x, mean, sd, lower, upper)
 
 
 @_each
+@no_type_check
 def _log_cdfs(x: float, mean: float, sd: float, lower: float, upper: float) -> float:
     return log_cdf(x, mean, sd, lower, upper)
 
 
 @_each
+@no_type_check
 def _noisy_log_pdfs(y: float, mean: float, sd: float, lower: float, upper: float, noise_sd: float) -> float:
     return noisy_log_pdf(y, mean, sd, lower, upper, noise_sd)
 
 
 @_each
+@no_type_check
 def _means(mean: float, sd: float, lower: float, upper: float) -> float:
     return moments(mean, sd, lower, upper)[0]
 
 
 @_each
+@no_type_check
 def _variances(mean: float, sd: float, lower: float, upper: float) -> float:
     return moments(mean, sd, lower, upper)[1]
 

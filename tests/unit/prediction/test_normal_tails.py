@@ -73,7 +73,7 @@ def test_ndtri_exp_inverts_log_ndtr() -> None:
     back = np.array([ndtri_exp(log_ndtr(x)) for x in points])
     # Above the median log Φ carries ever less of x: its rounding times dx/dlog Φ.
     loss = np.exp(special.log_ndtr(points) + points**2 / 2) * np.sqrt(2 * np.pi) * 2e-16
-    np.testing.assert_array_less(np.abs(back - points), 1e-13 * np.abs(points) + 4 * loss)
+    np.testing.assert_array_less(np.abs(back - points), 2e-13 * np.abs(points) + 4 * loss)
 
 
 def test_ndtri_exp_at_its_limits() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -158,7 +159,7 @@ def test_noisy_density_equals_the_integral_over_the_true_value(parameters: tuple
 
         breaks = np.clip(y + noise * np.array([-8, -2, 0, 2, 8]), start, end)
         edges = np.unique(np.concatenate([np.linspace(start, end, 9), breaks]))
-        pieces = [integrate.quad(integrand, a, b, epsabs=0)[0] for a, b in zip(edges, edges[1:], strict=False)]
+        pieces = [integrate.quad(integrand, a, b, epsabs=0)[0] for a, b in pairwise(edges)]
         assert noisy_log_pdf(y, *parameters, noise) == pytest.approx(math.log(sum(pieces)), abs=1e-6)
 
 
@@ -172,7 +173,7 @@ def test_noisy_density_integrates_to_one(parameters: tuple[float, ...], noise: f
     edges = np.unique(edges)
     total = 0.0
     nodes, weights = np.polynomial.legendre.leggauss(200)
-    for a, b in zip(edges, edges[1:], strict=False):
+    for a, b in pairwise(edges):
         y = 0.5 * (a + b) + 0.5 * (b - a) * nodes
         density = [math.exp(noisy_log_pdf(value, *parameters, noise)) for value in y]
         total += 0.5 * (b - a) * float(np.dot(weights, density))

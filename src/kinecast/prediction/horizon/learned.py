@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,7 @@ POSE_SHARE, LEVEL_SHARE = 1.5 / np.sqrt(18.0), 0.7
 COMPONENTS = 16
 
 
+@runtime_checkable
 class Expert(Protocol):
     """Coefficients of the time basis, over the amplitude, from windows seen by each arm."""
 
@@ -136,8 +137,8 @@ class Network:
             W2=block_diag(*(each.W2 for each in networks)),
             b2=np.concatenate([each.b2 for each in networks]),
             W3=share * np.concatenate([each.W3 for each in networks]),
-            b3=share * sum(each.b3 for each in networks),
-            A=share * sum(each.A for each in networks),
+            b3=np.mean([each.b3 for each in networks], axis=0),
+            A=np.mean([each.A for each in networks], axis=0),
         )
 
 

@@ -22,7 +22,6 @@ from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
 from kinecast.prediction.gaussian import posture_bounds
 from kinecast.prediction.horizon.calibration import LEVEL, AdaptiveScale
-from kinecast.prediction.horizon.constrain import constrain
 from kinecast.prediction.horizon.density import ScaleMixtureDensity
 from kinecast.prediction.horizon.features import arm_views, yaw_frame
 from kinecast.prediction.horizon.gate import (
@@ -37,6 +36,7 @@ from kinecast.prediction.horizon.gate import (
 )
 from kinecast.prediction.horizon.learned import Expert, expert_from_arrays, forecast
 from kinecast.prediction.horizon.memory import DueErrors
+from kinecast.prediction.horizon.motions import draw_motions
 from kinecast.prediction.horizon.spread import SCALES, Spread, mixture_radius, spread_features
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
@@ -97,12 +97,14 @@ class Mixture:
         experts: the learned ones.
         gate: None while it is being trained; experts then count alike.
         frames, steps: N and T.
+        guarded: whether the trivial experts may take over.
     """
 
     experts: Sequence[Expert]
     gate: Gate | None
     frames: int
     steps: int
+    guarded: bool = True
 
     def memory(self) -> Memory:
         """Nothing remembered yet."""
@@ -147,6 +149,9 @@ class Mixture:
         mixed = np.einsum("etj,etjd->tjd", weights, made)
         rivals = np.concatenate([mixed[None], made[:TRIVIAL]])
         trust = guard(memory.guard.mean(), memory.guard.frames)
+        if not self.guarded:
+            trust = np.zeros_like(trust)
+            trust[0] = 1.0
         mean = np.einsum("ej,etjd->tjd", trust, rivals)
         features = spread_features(window, made, mean, inputs, memory.mean.mean()[0, :, :, 0])
         memory.gate.predicted(made)
@@ -168,6 +173,7 @@ class Horizon:
         noise: spread of a measured joint about the true one in training [m].
         limits: range and speed of the arm's angles; None for none.
         adaptive: whether the spread follows the person in view.
+        following: whether anything does; without it every window is a stranger's.
     """
 
     mixture: Mixture
@@ -176,6 +182,7 @@ class Horizon:
     noise: float
     limits: JointLimits | None = field(default_factory=JointLimits)
     adaptive: bool = True
+    following: bool = True
 
     @property
     def frames(self) -> int:
@@ -206,6 +213,8 @@ class Horizon:
             observation: the window that ends with this frame.
             measured: (6, 3) the frame as measured [m], NaN where it was not.
         """
+        if not self.following:
+            memory.__dict__.update(self.memory().__dict__)
         pause = round((observation.stamp - memory.stamp) / self.dt) - 1 if np.isfinite(memory.stamp) else 0
         if 0 < pause <= LONGEST_PAUSE:
             memory.skip(pause)
@@ -249,27 +258,37 @@ class Horizon:
             shared.reshape(self.steps, 18, 18)[:, np.arange(18), np.arange(18)] = np.repeat(observation.noise, 3)
             factor = np.concatenate([factor, shared], axis=-1)
         mean = observation.to_torso(means.mean)
-        flat = factor.reshape(self.steps * 18, -1)
-        draws = (
-            rng.standard_normal((samples, flat.shape[1])) * common_factors(self.spread.weights, samples, rng)[:, None]
+        draws = rng.standard_normal((samples, factor.shape[-1]))
+        draws *= common_factors(self.spread.weights, samples, rng)[:, None]
+        initial = postures_from_points(observation.points, continuous=True)[-1]
+        centre = postures_from_points(mean, initial, continuous=True)
+        motions = draw_motions(
+            mean,
+            factor,
+            draws,
+            rng.random((samples, self.steps, 8)),
+            centre,
+            _posture_spread(centre, np.sqrt((factor**2).sum(axis=-1).mean(axis=-1))),
+            initial,
+            *posture_bounds(self.limits),
+            self.dt,
+            *observation.frame,
         )
-        free = (mean.ravel() + draws @ flat.T).reshape(samples, self.steps, 6, 3)
-        points = free
         allowance = None
         if self.limits is not None:
-            initial = postures_from_points(observation.points, continuous=True)[-1]
-            centre = postures_from_points(mean, initial, continuous=True)
-            spread = np.sqrt((factor**2).sum(axis=-1).mean(axis=-1))
-            points = free.copy()
-            constrain(
-                points, centre, initial, rng.random((samples, self.steps, 8)), *posture_bounds(self.limits), self.dt,
-                _posture_spread(centre, spread),
-            )  # fmt: skip
-            allowance = Allowance(lambda: free, observation, initial, self.limits, scene, self.noise)
-        moved = points.mean(axis=0) - free.mean(axis=0)
+            allowance = Allowance(
+                lambda: mean + np.tensordot(draws, factor, axes=(1, 3)),
+                observation,
+                initial,
+                self.limits,
+                scene,
+                self.noise,
+            )
+        # The samples' own mean is noisy; only what the constraints moved is taken from it.
+        unmoved = observation.to_world(mean + factor @ draws.mean(axis=0))
         forecast = Forecast(
-            observation.to_world(points),
-            observation.to_world(mean + moved),
+            motions,
+            means.mean + (motions.mean(axis=0) - unmoved),
             WorldDensity(observation, ScaleMixtureDensity(mean, factor, self.spread.weights, allowance)),
             np.ones(self.steps),
             samples,
@@ -278,9 +297,7 @@ class Horizon:
         if self.limits is None or scene is None:
             return forecast
         kept = within_scene(forecast, observation, rng, scene)
-        # The samples' own mean is noisy; only what the scene moved is taken from it.
-        shift = kept.samples.mean(axis=0) - forecast.samples.mean(axis=0)
-        return replace(kept, mean=forecast.mean + shift)
+        return replace(kept, mean=means.mean + (kept.samples.mean(axis=0) - unmoved))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""
@@ -302,8 +319,7 @@ def _posture_spread(centre: Float[np.ndarray, "T 18"], spread: Float[np.ndarray,
     """(T, 18) spread of each arm angle, to first order, from that of the joints [m]; 0 for the rest."""
     result = np.zeros_like(centre)
     for first, at in ((0, 6), (3, 12)):
-        for t, noise in enumerate(spread[:, first : first + 3]):
-            result[t, at : at + 4] = angle_noise(centre[t, at : at + 6], noise)
+        result[:, at : at + 4] = angle_noise(centre[:, at : at + 6], spread[:, first : first + 3])
     return result
 
 

@@ -39,7 +39,7 @@ class HorizonOptions:
 
     pseudo_inputs: int = 256
     network_steps: int = 2500
-    folds: int = 3
+    folds: int = 4
     networks: int = 2
     noise: tuple[float, float] = (5e-4, 12e-3)
     seed: int = 0

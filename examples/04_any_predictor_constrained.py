@@ -1,0 +1,86 @@
+"""Any predictor, constrained.
+
+A predictor that knows nothing of kinecast, here nearest neighbours, becomes a distribution that keeps joint ranges,
+joint speeds and the scene.
+
+Shows: the one method a foreign model must have (`mean`, from windows to futures), the spread fitted around it, and the
+same model free and constrained side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinecast.datasets.splits import by_subject, split_by
+from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
+from kinecast.datasets.windows import WindowOptions, all_windows
+from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.pipeline import observations, training_windows
+from kinecast.prediction.gaussian import PostureGaussian
+from kinecast.prediction.methods import TrainingOptions, limits_of
+from kinecast.prediction.noise import sensor_noise
+
+
+@dataclass(frozen=True)
+class NearestNeighbours:
+    """The mean of what followed the training windows that moved most alike."""
+
+    inputs: np.ndarray
+    displacements: np.ndarray
+    count: int = 40
+
+    @staticmethod
+    def fit(windows: np.ndarray, futures: np.ndarray, folds: np.ndarray) -> NearestNeighbours:  # noqa: ARG004
+        """Remembers every window; the folds are for models that tune themselves."""
+        return NearestNeighbours(features(windows), futures - windows[:, -1:])
+
+    def mean(self, windows: np.ndarray) -> np.ndarray:
+        """(W, N, D) windows in, (W, T, D) means out: all that the constraint stage asks of a model."""
+        found = np.empty((len(windows), *self.displacements.shape[1:]))
+        for row, (window, wanted) in enumerate(zip(windows, features(windows), strict=True)):
+            distance = np.square(self.inputs - wanted).sum(axis=1)
+            nearest = np.argpartition(distance, self.count)[: self.count]
+            found[row] = window[-1] + self.displacements[nearest].mean(axis=0)
+        return found
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """What a saved model would hold."""
+        return {"inputs": self.inputs, "displacements": self.displacements}
+
+
+def features(windows: np.ndarray) -> np.ndarray:
+    """(W, F) the steps of a window, and a little of where it ends."""
+    steps = np.diff(windows, axis=1).reshape(len(windows), -1)
+    return np.concatenate([steps, 0.05 * windows[:, -1]], axis=1)
+
+
+def main() -> None:
+    people = SyntheticOptions(subjects=5, recordings=1, duration=12.0)
+    scene = table_scene(people)
+    split = split_by(generate(people, seed=1), by_subject, ["synthetic-4"])
+    windows = WindowOptions(stride=10)
+    data = training_windows(split.train, windows, scene)
+    limits, noise = limits_of(data, TrainingOptions()), sensor_noise(data)
+
+    methods = {
+        "free": PostureGaussian.fit(NearestNeighbours.fit, data, noise, None),
+        "constrained": PostureGaussian.fit(NearestNeighbours.fit, data, noise, limits),
+    }
+    tests = [
+        TestRecording(part.name, observations(part), part.future, part.frames)
+        for part in all_windows(split.test, windows)
+    ]
+    results, _ = evaluate(methods, tests, scene, EvaluationOptions(samples=200, repeats=0, limits=limits))
+    print(f"{'neighbours':12} MPJPE mm     NLL  inside 90 %  violations (range, speed, scene)")
+    for name, scores in results["methods"].items():
+        broken = "  ".join(f"{100 * share:.2f} %" for share in scores["violations"].values())
+        print(
+            f"{name:12} {scores['mpjpe_mm']:8.1f} {scores['nll']:7.2f} "
+            f"{100 * scores['coverage']['0.9']:10.1f} %  {broken}"
+        )
+
+
+if __name__ == "__main__":
+    main()

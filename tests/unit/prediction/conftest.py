@@ -1,0 +1,56 @@
+"""Small generated windows and every method trained on them, once for all tests of the prediction core."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinecast.body.posture import points_from_postures
+from kinecast.datasets.synthetic import SyntheticOptions, generate
+from kinecast.datasets.windows import WindowOptions
+from kinecast.pipeline import training_windows
+from kinecast.prediction.forecast import Method
+from kinecast.prediction.methods import METHODS, TrainingOptions, train
+from kinecast.prediction.observation import Observation, TrainingWindows
+
+OPTIONS = TrainingOptions(pseudo_inputs=8, iterations=10, points=200)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="session")
+def windows() -> TrainingWindows:
+    """Windows of six frames and the three that followed, from two people and four recordings."""
+    recordings = generate(SyntheticOptions(subjects=2, recordings=2, duration=6.0), seed=0)
+    return training_windows(recordings, WindowOptions(window=0.2, horizon=0.1, stride=4, whole=False))
+
+
+@pytest.fixture(scope="session")
+def options() -> TrainingOptions:
+    """Options under which all methods train in seconds."""
+    return OPTIONS
+
+
+@pytest.fixture(scope="session")
+def trained(windows: TrainingWindows) -> dict[str, Method]:
+    """Every method but the horizon model, which has tests of its own."""
+    return train([name for name in METHODS if name != "kinecast"], windows, OPTIONS)
+
+
+@pytest.fixture(scope="session")
+def observation(windows: TrainingWindows) -> Observation:
+    """A window of somebody at work."""
+    return Observation(windows.observed[60], windows.up[60], windows.dt, stamp=100.0)
+
+
+@pytest.fixture(scope="session")
+def posed() -> Observation:
+    """A window with both arms bent and slowly rising, away from every degenerate pose, in a turned torso frame."""
+    start = np.array(
+        [0, 0, 0, 0, 0, 0.36, 0.1, 0.3, -0.5, 0.6, 0.30, 0.26, 0.1, 0.2, -0.4, 0.7, 0.30, 0.26]
+    )  # layout of kinecast.body.posture
+    postures = np.repeat(start[None], 6, axis=0)
+    postures[:, [6, 12]] += np.linspace(-0.05, 0.0, 6)[:, None]
+    postures[:, [7, 13]] += np.linspace(-0.08, 0.0, 6)[:, None]
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    positions = points_from_postures(postures) @ turn.T + np.array([0.4, -1.0, 1.4])
+    return Observation(positions, UP, 1.0 / 30.0, stamp=5.0)
