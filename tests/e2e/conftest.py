@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from kinecast.cli import main
 from kinecast.datasets import table
-from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
-from kinecast.geometry.shapes import Box
+from kinecast.datasets.synthetic import SyntheticOptions, generate
 
-PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=12.0)
+PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=7.0)
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def kinecast(capsys: pytest.CaptureFixture[str]) -> Kinecast:
 
 @pytest.fixture(scope="session")
 def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Two files, each with twelve seconds of another person moving cubes on a table."""
+    """Two files, each with seven seconds of another person moving cubes on a table."""
     folder = tmp_path_factory.mktemp("recordings")
     first, second = generate(PEOPLE, seed=3)
     for name, recording in (("first", first), ("second", second)):
@@ -54,18 +54,22 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "first.parquet", folder / "second.parquet"
 
 
+@pytest.fixture
+def plain_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluations draw one grey pixel: fast."""
+    from kinecast.evaluation import run
+
+    def draw(path: Path, *_: object) -> None:
+        Image.new("L", (1, 1)).save(path)
+
+    monkeypatch.setattr(run, "draw_prediction", draw)
+    monkeypatch.setattr(run, "animate_prediction", draw)
+
+
 @pytest.fixture(scope="session")
-def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The table of the generated people as a scene file."""
-    (top,) = table_scene(PEOPLE).obstacles
-    assert isinstance(top, Box)
-    x, y, thickness = top.size.tolist()
-    path = tmp_path_factory.mktemp("scenes") / "table.yaml"
-    path.write_text(
-        f"table:\n  height: {PEOPLE.table_height}\n  center: {top.center[:2].tolist()}\n"
-        f"  extent: {[x, y]}\n  thickness: {thickness}\n"
-    )
-    return path
+def scene_file() -> Path:
+    """The table of the generated people."""
+    return Path(__file__).parents[2] / "examples" / "scenes" / "generated_table.yaml"
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from kinecast.body.arm_angles import LEFT, RIGHT, arm_vectors
 from kinecast.body.elementary import sine_cosine
 from kinecast.body.posture import POSTURE_SIZE, out_of_torso
 
-__all__ = ["placed"]
+__all__ = ["moved", "placed"]
 
 LANES = 64
 """Postures handled side by side, one number of each next to the other, so that loops become vector instructions."""
@@ -32,6 +32,35 @@ def placed(
     flat = np.ascontiguousarray(postures, dtype=np.float64).reshape(-1, POSTURE_SIZE)
     _place(flat, np.ascontiguousarray(rotation), np.ascontiguousarray(origin), points.reshape(-1, POSTURE_SIZE))
     return points
+
+
+def moved(
+    points: Float[np.ndarray, "*batch 3"], rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "*batch 3"]:
+    """R · p + s for every point.
+
+    Args:
+        points: (…, 3) [m].
+        rotation, shift: of the motion [m].
+    """
+    out = np.empty(points.shape)
+    flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+    _move(flat, np.ascontiguousarray(rotation), np.ascontiguousarray(shift), out.reshape(-1, 3))
+    return out
+
+
+@njit(cache=True)
+@no_type_check
+def _move(
+    points: Float[np.ndarray, "K 3"],
+    rotation: Float[np.ndarray, "3 3"],
+    shift: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "K 3"],
+) -> None:
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        for i in range(3):
+            out[k, i] = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + shift[i]
 
 
 @njit(cache=True, parallel=True)

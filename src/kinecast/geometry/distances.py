@@ -21,7 +21,7 @@ import math
 from typing import TypeAlias, no_type_check
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 __all__ = [
@@ -231,7 +231,7 @@ def scene_distances(rows: np.ndarray, points: np.ndarray) -> np.ndarray:
     return distances
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 @no_type_check
 def arms_are_free(rows: np.ndarray, arms: np.ndarray, radius: float) -> np.ndarray:
     """(S, T) whether no limb of (S, T, 6, 3) arm joints touches an obstacle (T, O, ROW) of its time.
@@ -240,10 +240,9 @@ def arms_are_free(rows: np.ndarray, arms: np.ndarray, radius: float) -> np.ndarr
     """
     samples, times = arms.shape[:2]
     free = np.empty((samples, times), dtype=np.bool_)
-    for s in range(samples):
-        for t in range(times):
+    for t in prange(times):
+        for s in range(samples):
             free[s, t] = not np.isnan(np.sum(arms[s, t]))
-    for t in range(times):
         for o in range(rows.shape[1]):
             row = to_fixed_tuple(rows[t, o], ROW)  # in registers, for all samples
             for s in range(samples):

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, no_type_check, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
+from numba import njit, prange
 
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation
 from kinecast.types import Density
 
-__all__ = ["Follower", "Forecast", "Method", "WorldDensity", "forecast_with", "within_scene"]
+__all__ = ["Follower", "Forecast", "Method", "WorldDensity", "forecast_with", "joint_covariances", "within_scene"]
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,37 @@ def forecast_with(
     return method.forecast(observation, rng, samples, scene, memory)  # type: ignore[call-arg]
 
 
+@njit(cache=True, parallel=True)
+@no_type_check
+def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray, "T 6 3 3"]:
+    """(T, 6, 3, 3) covariance of each joint's position at each step [m^2]."""
+    draws, steps, joints, _ = samples.shape
+    covariances = np.zeros((steps, joints, 3, 3))
+    for t in prange(steps):
+        mean = np.zeros((joints, 3))
+        for s in range(draws):
+            mean += samples[s, t]
+        mean /= draws
+        for s in range(draws):
+            for j in range(joints):
+                x, y, z = (
+                    samples[s, t, j, 0] - mean[j, 0],
+                    samples[s, t, j, 1] - mean[j, 1],
+                    samples[s, t, j, 2] - mean[j, 2],
+                )
+                c = covariances[t, j]
+                c[0, 0] += x * x
+                c[1, 1] += y * y
+                c[2, 2] += z * z
+                c[0, 1] += x * y
+                c[0, 2] += x * z
+                c[1, 2] += y * z
+        for j in range(joints):
+            c = covariances[t, j]
+            c[1, 0], c[2, 0], c[2, 1] = c[0, 1], c[0, 2], c[1, 2]
+    return covariances / draws
+
+
 @dataclass(frozen=True)
 class WorldDensity:
     """A density stated in the torso frame, asked in the world; a rigid motion leaves its value as it is."""
@@ -134,12 +166,11 @@ def within_scene(forecast: Forecast, observation: Observation, rng: np.random.Ge
     survivors = np.flatnonzero(alive[:, -1])
     if len(survivors) == 0:
         return replace(forecast, accepted=alive.mean(axis=0), distinct=0)
-    rows = survivors
-    if len(rows) < len(free):
-        # Systematic resampling: every survivor is kept equally often, to within one.
-        offsets = (np.arange(len(free)) + rng.random()) * len(survivors) / len(free)
-        rows = survivors[offsets.astype(int)]
-    samples = forecast.samples[rows]
+    if len(survivors) == len(free):
+        return forecast
+    # Systematic resampling: every survivor is kept equally often, to within one.
+    offsets = (np.arange(len(free)) + rng.random()) * len(survivors) / len(free)
+    samples = forecast.samples[survivors[offsets.astype(int)]]
     return replace(
         forecast,
         samples=samples,

@@ -51,7 +51,7 @@ METHODS: Mapping[str, str] = {
 }
 """Every method and what it does."""
 
-SHIPPED = ("zero_velocity", "damped_velocity", "gp_constrained")
+SHIPPED = ("zero_velocity", "damped_velocity", "gp_constrained", "kinecast")
 """Methods whose models come with kinecast, the best last."""
 
 Progress = Callable[[int, int], None]

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from kinecast.body.placement import moved
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.scene import Scene
 
@@ -76,12 +77,12 @@ class Observation:
     def to_torso(self, positions: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
         """World positions [m] in the torso frame."""
         rotation, origin = self.frame
-        return (positions - origin) @ rotation
+        return moved(positions - origin, rotation.T, np.zeros(3))
 
     def to_world(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
         """Torso-frame points [m] in the world."""
         rotation, origin = self.frame
-        return points @ rotation.T + origin
+        return moved(points, rotation, origin)
 
 
 @dataclass(frozen=True)

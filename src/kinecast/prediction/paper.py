@@ -15,11 +15,13 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.limits import JointLimits
-from kinecast.body.posture import coordinates_from_postures, points_from_postures, postures_from_points
+from kinecast.body.placement import placed
+from kinecast.body.posture import coordinates_from_postures, postures_from_points
 from kinecast.errors import ModelError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.arrays import shaped
+from kinecast.prediction.draws import normals, uniforms
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
 from kinecast.prediction.gaussian import posture_bounds, posture_coordinates
 from kinecast.prediction.mixture_density import PositionSeriesDensity, PostureSeriesDensity
@@ -88,9 +90,8 @@ class PositionSeries:
         """See kinecast.prediction.forecast.Method; the scene is disregarded."""
         del scene
         window = observation.positions.reshape(self.frames, 18)
-        offsets = rng.standard_normal((samples, 18)) * np.repeat(observation.noise, 3)
-        normals = rng.standard_normal((samples, self.steps, 18))
-        positions, means, spreads = roll_positions(window, offsets, self.stack, normals)
+        offsets = normals(rng, samples, 18) * np.repeat(observation.noise, 3)
+        positions, means, spreads = roll_positions(window, offsets, self.stack, normals(rng, samples, self.steps, 18))
         points = positions.reshape(samples, self.steps, 6, 3)
         mean = points.mean(axis=0)
         density = PositionSeriesDensity(mean, means, spreads)
@@ -154,29 +155,28 @@ class PostureSeries:
     ) -> Forecast:
         """See kinecast.prediction.forecast.Method."""
         track = postures_from_points(observation.points, continuous=True)
-        offsets = rng.standard_normal((samples, 18)) * coordinate_noise(track[-1], observation.noise)
-        normals = rng.standard_normal((samples, self.steps, 18))
-        uniforms = rng.random((samples, self.steps, 8))
+        offsets = normals(rng, samples, 18) * coordinate_noise(track[-1], observation.noise)
         lower, upper, speed, wrist_speed = posture_bounds(self.limits)
         postures, means, spreads = roll_series(
             coordinates_from_postures(track), offsets, self.stack, self.length_spread, track[-1],
-            normals, uniforms, lower, upper, speed, wrist_speed, self.dt,
+            normals(rng, samples, self.steps, 18), uniforms(rng, samples, self.steps, 8),
+            lower, upper, speed, wrist_speed, self.dt,
         )  # fmt: skip
-        points = points_from_postures(postures)
-        mean = points.mean(axis=0)
-        constrained = self.limits is not None and scene is not None
-        allowance = Allowance(lambda: points, observation, track[-1], None, scene, self.noise) if constrained else None
+        points = placed(postures, *observation.frame)
+        centre = points.mean(axis=0)
+        mean = observation.to_torso(centre)
+        allowance = None
+        if self.limits is not None and scene is not None:
+
+            def draws() -> Float[np.ndarray, "S T 6 3"]:
+                return observation.to_torso(points)
+
+            allowance = Allowance(draws, observation, track[-1], None, scene, self.noise)
         density = PostureSeriesDensity(
             mean, postures, means, spreads, track[-1], self.limits, self.dt, self.noise, allowance
         )
-        forecast = Forecast(
-            observation.to_world(points),
-            observation.to_world(mean),
-            WorldDensity(observation, density),
-            np.ones(self.steps),
-            samples,
-        )
-        if scene is not None and constrained:
+        forecast = Forecast(points, centre, WorldDensity(observation, density), np.ones(self.steps), samples)
+        if scene is not None and self.limits is not None:
             return within_scene(forecast, observation, rng, scene)
         return forecast
 

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with
+from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with, joint_covariances
 from kinecast.prediction.methods import read_method, shipped_methods
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.track import Track
@@ -176,14 +176,12 @@ class Predictor:
     ) -> Prediction:
         times = observation.times(self.method.steps)
         ahead = _ahead(times, now)
-        samples = forecast.samples[:, ahead]
-        spread = samples - samples.mean(axis=0)
         return Prediction(
             stamp=observation.stamp,
             times=times[ahead],
-            samples=samples,
+            samples=forecast.samples if ahead.all() else forecast.samples[:, ahead],
             mean=forecast.mean[ahead],
-            covariance=np.einsum("stjd,stje->tjde", spread, spread) / len(samples),
+            covariance=joint_covariances(forecast.samples)[ahead],
             joints=ARM_JOINTS,
             person=person,
             status=status,

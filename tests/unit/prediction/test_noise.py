@@ -18,15 +18,21 @@ POSTURES = {
 }
 
 
+def windows_of(tracks: np.ndarray) -> TrainingWindows:
+    """Windows from (W, K, 6, 3) positions, all but the last three frames observed."""
+    count = len(tracks)
+    own = np.zeros(count, dtype=int)
+    return TrainingWindows(tracks[:, :-3], tracks[:, -3:], np.zeros((count, 3)), own, 1 / 30, np.arange(count), own)
+
+
 @pytest.mark.parametrize("spread", [0.001, 0.004])
 def test_noise_put_in_is_found_again(spread: float) -> None:
     rng = np.random.default_rng(0)
     time = np.arange(10) / 30.0
     motion = 0.3 * np.sin(2.0 * time)[None, :, None, None] + rng.standard_normal((300, 1, 6, 3))
     noisy = motion + spread * rng.standard_normal(motion.shape)
-    windows = TrainingWindows(noisy[:, :6], noisy[:, 6:], np.zeros((300, 3)), np.zeros(300, dtype=int), 1 / 30)
     # A median of medians over 7 × 18 correlated differences, three hundred times: a few per cent.
-    assert sensor_noise(windows) == pytest.approx(spread, rel=0.06)
+    assert sensor_noise(windows_of(noisy)) == pytest.approx(spread, rel=0.06)
 
 
 def test_a_few_tracker_jumps_change_the_noise_little(windows: TrainingWindows) -> None:
@@ -36,8 +42,7 @@ def test_a_few_tracker_jumps_change_the_noise_little(windows: TrainingWindows) -
 
 
 def test_noise_is_never_zero() -> None:
-    still = np.zeros((5, 4, 6, 3))
-    assert sensor_noise(TrainingWindows(still, still, np.zeros((5, 3)), np.zeros(5, dtype=int), 0.1)) == 1e-4
+    assert sensor_noise(windows_of(np.zeros((5, 8, 6, 3)))) == 1e-4
 
 
 def simulated(posture: list[float]) -> np.ndarray:

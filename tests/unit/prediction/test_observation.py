@@ -72,22 +72,27 @@ def test_training_windows_are_seen_as_observations_are(windows: TrainingWindows,
     np.testing.assert_allclose(windows.future_points[60], observation.to_torso(windows.future[60]), atol=1e-14)
 
 
-def owned(recording: list[int]) -> TrainingWindows:
-    """Windows that only know which recording they are from."""
-    count = len(recording)
+def owned(group: list[int]) -> TrainingWindows:
+    """Windows that only know what they belong to."""
+    count = len(group)
     return TrainingWindows(
-        np.zeros((count, 2, 6, 3)), np.zeros((count, 1, 6, 3)), np.zeros((count, 3)), np.array(recording), 0.1
+        observed=np.zeros((count, 2, 6, 3)),
+        future=np.zeros((count, 1, 6, 3)),
+        up=np.zeros((count, 3)),
+        recording=np.array(group),
+        dt=0.1,
+        frame=np.arange(count),
+        group=np.array(group),
     )
 
 
-@pytest.mark.parametrize("count", [2, 3, 4])
-def test_folds_never_split_a_recording(count: int) -> None:
-    rng = np.random.default_rng(count)
-    recording = np.repeat(np.arange(7), rng.integers(1, 40, 7)).tolist()
-    folds = owned(recording).folds(count)
-    assert set(folds) == set(range(count))
-    for owner in range(7):
-        assert len(set(folds[np.array(recording) == owner])) == 1
+@pytest.mark.parametrize(("groups", "count"), [(7, 2), (7, 3), (7, 4), (3, 4), (2, 4)])
+def test_folds_never_split_a_recording_or_task(groups: int, count: int) -> None:
+    group = np.repeat(np.arange(groups), np.random.default_rng(count).integers(1, 40, groups))
+    folds = owned(group.tolist()).folds(count)
+    assert set(folds) == set(range(min(count, groups)))
+    for owner in range(groups):
+        assert len(set(folds[group == owner])) == 1
 
 
 def test_folds_are_of_like_size() -> None:
@@ -95,7 +100,7 @@ def test_folds_are_of_like_size() -> None:
     np.testing.assert_array_equal(np.bincount(folds), [60, 60, 60])
 
 
-def test_a_single_recording_is_cut_into_blocks_of_time() -> None:
+def test_a_single_group_is_cut_into_blocks_of_time() -> None:
     np.testing.assert_array_equal(owned([5] * 10).folds(4), [0, 0, 0, 1, 1, 2, 2, 2, 3, 3])
 
 

@@ -1,0 +1,343 @@
+"""Every command as a user would run it, on generated tables, and on real recordings where they are there."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.datasets import table
+from kinecast.datasets.loading import load
+from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
+from kinecast.datasets.table_file import read_rows
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.methods import METHODS, read_method
+from kinecast.types import Status
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+QUICK = ("--stride", 20, "--repeats", 2, "--samples", 60)
+
+LEVELS = {"0.5", "0.8", "0.9", "0.95", "0.99"}
+
+Kinecast = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def evaluation(
+    tables: tuple[Path, Path], model: Path, scene_file: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The folder of a whole evaluation, pictures and all."""
+    from kinecast.cli import main
+
+    out = tmp_path_factory.mktemp("results") / "new" / "evaluation"
+    main(
+        ["evaluate", "--model", str(model), "--test", str(tables[1]), "--scene", str(scene_file), "--out", str(out)]
+        + [str(option) for option in QUICK]
+    )
+    return out
+
+
+def scores(folder: Path) -> dict[str, Any]:
+    """What metrics.json holds, without times."""
+    metrics: dict[str, Any] = copy.deepcopy(json.loads((folder / "metrics.json").read_text()))
+    for method in metrics["methods"].values():
+        del method["latency_ms"]
+    return metrics
+
+
+class TestHelp:
+    def test_lists_the_commands_one_after_another(self, kinecast: Kinecast) -> None:
+        outcome = kinecast("--help")
+        assert outcome.code == 0
+        assert re.findall(r"• (\w+)", outcome.out) == ["demo", "info", "download", "train", "evaluate", "predict"]
+
+    @pytest.mark.parametrize("command", ["train", "evaluate"])
+    def test_says_what_every_method_is(self, kinecast: Kinecast, command: str) -> None:
+        text = kinecast(command, "--help").out
+        assert re.findall(r"• (\w+): ", text) == list(METHODS)
+        assert "None}" not in text
+
+    def test_version(self, kinecast: Kinecast) -> None:
+        assert re.fullmatch(r"kinecast \d+\.\d+\.\d+\n", kinecast("--version").out)
+
+
+class TestInfo:
+    def test_of_a_table(self, kinecast: Kinecast, tables: tuple[Path, Path]) -> None:
+        outcome = kinecast("info", *tables)
+        assert (outcome.code, outcome.err) == (0, "")
+        first, second = outcome.out.split("\n\n")
+        assert first.startswith("synthetic/pick_and_place/0-0: ")
+        assert second.startswith("synthetic/pick_and_place/1-0: ")
+        assert "210 frames, 7.0 s at 30 Hz" in first
+        assert re.search(r"left_forearm: \d{3} mm", first)
+        assert "labels: " in first
+
+    def test_as_json(self, kinecast: Kinecast, tables: tuple[Path, Path]) -> None:
+        (summary,) = json.loads(kinecast("info", tables[0], "--json").out)
+        assert summary["frames"] == 210
+        assert set(ARM_JOINTS) <= set(summary["joint_names"])
+        assert 0.2 < summary["bones"]["left_forearm"]["median"] < 0.3
+
+    @pytest.mark.parametrize(
+        ("path", "names", "facts"),
+        [
+            ("human_robot_animations/TossTheCan/0.csv.xz", ["TossTheCan/0"], "vicon, 1"),
+            ("ha4m_features_demo/UpSkel", ["IDU001V001", "IDU001V002"], "ha4m-features, 2427 frames, 80.9 s at 30 Hz"),
+            ("human_assembly_data/Task1/Human2/trial2.txt.gz", ["trial2"], "lego, 855 frames, 28.5 s at 30 Hz"),
+            (
+                "kth_handover_sample",
+                ["handover_sample/giver", "handover_sample/taker"],
+                "kth-handover, person giver, 801 frames, 6.7 s at 120 Hz",
+            ),
+        ],
+    )
+    def test_of_each_real_format(
+        self, kinecast: Kinecast, data_root: Path, path: str, names: list[str], facts: str
+    ) -> None:
+        outcome = kinecast("info", data_root / path)
+        assert (outcome.code, outcome.err) == (0, "")
+        parts = outcome.out.split("\n\n")
+        assert [part.partition(":")[0].endswith(name) for part, name in zip(parts, names, strict=True)]
+        assert facts in parts[0]
+
+
+class TestTrain:
+    def test_writes_a_model_and_says_so(self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path) -> None:
+        out = tmp_path / "model.npz"
+        options = ("--method", "damped_velocity", "--rate", 15, "--window", 0.4, "--horizon", 0.6, "--seed", 4)
+        outcome = kinecast("train", *tables, *options, "--out", out)
+        card, method = read_method(out)
+        assert (card.rate, card.frames, card.steps, card.seed) == (15.0, 6, 9, 4)
+        assert (method.frames, method.steps) == (6, 9)
+        assert card.trained_on == ("synthetic/pick_and_place/0-0", "synthetic/pick_and_place/1-0")
+        assert outcome.out == f"{out}: damped_velocity, trained on {card.windows} windows of 2 recordings\n"
+        assert outcome.err == ""
+        assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]
+
+    def test_one_action_alone(self, kinecast: Kinecast, tmp_path: Path) -> None:
+        (recording,) = generate(SyntheticOptions(subjects=1, recordings=1, duration=12.0), seed=1)
+        table.write(tmp_path / "person.csv", [recording])
+        for name, options in (("all", ()), ("carrying", ("--label", "Ca"))):
+            out = tmp_path / f"{name}.npz"
+            kinecast("train", tmp_path / "person.csv", "--method", "zero_velocity", "--out", out, *options)
+        everything, carrying = (read_method(tmp_path / f"{name}.npz")[0] for name in ("all", "carrying"))
+        assert (everything.label, carrying.label) == ("", "Ca")
+        assert recording.labels is not None
+        assert carrying.windows <= recording.labels.count("Ca") < everything.windows
+
+
+class TestEvaluate:
+    def test_leaves_four_files_and_no_other(self, evaluation: Path) -> None:
+        names = sorted(path.name for path in evaluation.iterdir())
+        assert names == ["metrics.json", "prediction.gif", "prediction.png", "report.html"]
+        assert [path.name for path in evaluation.parent.iterdir()] == ["evaluation"]
+        assert [path.name for path in evaluation.parent.parent.iterdir()] == ["new"]
+
+    def test_metrics_have_the_documented_form(self, evaluation: Path) -> None:
+        metrics = json.loads((evaluation / "metrics.json").read_text())
+        assert set(metrics) == {"settings", "methods", "ground_truth_violations"}
+        assert set(metrics["ground_truth_violations"]) == {"position", "speed", "scene"}
+        settings = metrics["settings"]
+        assert (settings["rate"], settings["window"], settings["horizon"]) == (30.0, 0.2, 0.5)
+        assert (settings["stride"], settings["seed"], settings["label"]) == (20, 0, None)
+        assert settings["scene"] == "generated_table.yaml"
+        assert settings["train"] == ["synthetic/pick_and_place/0-0"]
+        assert settings["test"] == ["synthetic/pick_and_place/1-0"]
+        (name,) = metrics["methods"]
+        assert name == "ridge_constrained"
+        method = metrics["methods"][name]
+        for key in ("mpjpe_mm", "mpjpe_mm_stderr", "moving_mpjpe_mm", "wrist_final_mm", "nll", "kde_nll", "crps_mm"):
+            assert isinstance(method[key], float), key
+        assert isinstance(method["energy_score_mm"], float)
+        assert len(method["mpjpe_mm_by_step"]) == 15
+        assert np.mean(method["mpjpe_mm_by_step"]) == pytest.approx(method["mpjpe_mm"])
+        assert set(method["coverage"]) == LEVELS
+        assert set(method["violations"]) == {"position", "speed", "scene"}
+        assert set(method["latency_ms"]) == {"p50", "p99"}
+        assert 0 < method["latency_ms"]["p50"] <= method["latency_ms"]["p99"]
+        assert 0 < method["accepted_fraction"] <= 1
+        (recording,) = method["recordings"].values()
+        assert set(recording) == {"windows", "mpjpe_mm", "crps_mm", "nll", "coverage"}
+        assert set(recording["coverage"]) == LEVELS
+        assert recording["windows"] == settings["windows"]
+        assert recording["mpjpe_mm"] == pytest.approx(method["mpjpe_mm"])
+
+    def test_a_constrained_method_keeps_every_limit(self, evaluation: Path) -> None:
+        method = json.loads((evaluation / "metrics.json").read_text())["methods"]["ridge_constrained"]
+        assert method["violations"] == {"position": 0.0, "speed": 0.0, "scene": 0.0}
+
+    def test_the_report_needs_nothing_else(self, evaluation: Path) -> None:
+        page = (evaluation / "report.html").read_text()
+        assert "ridge_constrained" in page
+        assert "<script" not in page
+        assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+        assert not re.findall(r"url\((?!#)|@import", page)
+        assert page.count("data:image/png;base64,") == page.count("data:image/gif;base64,") == 1
+
+    def test_prints_the_table_and_where_the_report_is(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path, plain_pictures: None
+    ) -> None:
+        out = tmp_path / "results"
+        outcome = kinecast("evaluate", "--model", model, "--test", tables[1], "--out", out, *QUICK)
+        assert outcome.code == 0
+        assert "MPJPE" in outcome.out
+        assert re.search(r"^ ridge_constrained +\d+\.\d ± \d+\.\d ", outcome.out, re.MULTILINE)
+        assert outcome.out.endswith(f"\nreport: {out / 'report.html'}\n")
+        assert outcome.err == ""
+
+    def test_training_here_or_beforehand_is_the_same_and_seeds_decide(
+        self,
+        kinecast: Kinecast,
+        tables: tuple[Path, Path],
+        evaluation: Path,
+        scene_file: Path,
+        tmp_path: Path,
+        plain_pictures: None,
+    ) -> None:
+        common = ("--test", tables[1], "--scene", scene_file, *QUICK)
+        trained = ("evaluate", "--train", tables[0], "--methods", "zero_velocity, ridge_constrained", *common)
+        kinecast(*trained, "--out", tmp_path / "same")
+        kinecast(*trained, "--out", tmp_path / "other", "--seed", 1)
+        before, same, other = scores(evaluation), scores(tmp_path / "same"), scores(tmp_path / "other")
+        assert list(same["methods"]) == ["zero_velocity", "ridge_constrained"]
+        assert same["methods"]["ridge_constrained"] == before["methods"]["ridge_constrained"]
+        assert same["ground_truth_violations"] == before["ground_truth_violations"]
+        assert same["settings"] == before["settings"]
+        crps = [each["methods"]["ridge_constrained"]["crps_mm"] for each in (same, other)]
+        assert crps[0] != crps[1]
+        assert crps[0] == pytest.approx(crps[1], rel=0.2)
+
+    def test_a_model_brings_its_rate_and_horizon(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path, plain_pictures: None
+    ) -> None:
+        model, out = tmp_path / "slow.npz", tmp_path / "results"
+        rate = ("--rate", 15, "--window", 0.4, "--horizon", 1.0)
+        kinecast("train", tables[0], "--method", "zero_velocity", *rate, "--out", model)
+        assert kinecast("evaluate", "--model", model, "--test", tables[1], "--out", out, *QUICK).code == 0
+        metrics = scores(out)
+        assert [metrics["settings"][key] for key in ("rate", "window", "horizon")] == [15.0, 0.4, 1.0]
+        assert len(metrics["methods"]["zero_velocity"]["mpjpe_mm_by_step"]) == 15
+
+    def test_models_of_one_method_are_told_apart(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path, plain_pictures: None
+    ) -> None:
+        models = [tmp_path / "a" / "model.npz", tmp_path / "b" / "model.npz"]
+        for model, recording in zip(models, tables, strict=True):
+            model.parent.mkdir()
+            kinecast("train", recording, "--method", "zero_velocity", "--out", model)
+        outcome = kinecast("evaluate", "--model", *models, "--test", tables[1], "--out", tmp_path / "results", *QUICK)
+        assert list(scores(tmp_path / "results")["methods"]) == [f"zero_velocity ({model})" for model in models]
+        assert "trained on recordings of these names" in outcome.err
+        assert "synthetic/pick_and_place/1-0" in outcome.err
+
+    def test_test_recordings_are_left_out_of_training(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path, plain_pictures: None
+    ) -> None:
+        out = tmp_path / "results"
+        options = ("--methods", "zero_velocity", "--out", out, *QUICK)
+        outcome = kinecast("evaluate", "--train", *tables, "--test", tables[1], *options)
+        assert scores(out)["settings"]["train"] == ["synthetic/pick_and_place/0-0"]
+        assert "not trained on, because they are test recordings: synthetic/pick_and_place/1-0" in outcome.err
+
+    def test_one_action_alone(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path, plain_pictures: None
+    ) -> None:
+        labels = load(tables[1])[0].labels
+        assert labels is not None
+        options = ("--stride", 1, "--repeats", 0, "--samples", 20, "--label", "Pi", "--out", tmp_path / "results")
+        kinecast("evaluate", "--model", model, "--test", tables[1], *options)
+        settings = scores(tmp_path / "results")["settings"]
+        assert settings["label"] == "Pi"
+        assert 0 < settings["windows"] <= labels.count("Pi")
+
+
+class TestPredict:
+    def test_every_frame_gets_its_rows(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
+    ) -> None:
+        out = tmp_path / "predictions.parquet"
+        outcome = kinecast("predict", tables[1], "--model", model, "--out", out, "--samples", 30)
+        assert outcome.code == 0
+        rows, (recording,) = read_rows(out), load(tables[1])
+        frames, steps = len(recording.stamps), 15
+        assert rows.position.shape == (frames * steps * 6, 3)
+        assert rows.made is not None
+        made = rows.made.reshape(frames, steps, 6)
+        assert np.array_equal(made[:, 0, 0], recording.stamps)
+        assert (made == made[:, :1, :1]).all()
+        ahead = rows.stamp.reshape(frames, steps, 6)[..., 0] - made[..., 0]
+        assert ahead == pytest.approx(np.tile(np.arange(1, 16) / 30, (frames, 1)), abs=1e-9)
+        assert [rows.joint.names[code] for code in rows.joint.codes[:12]] == [*ARM_JOINTS, *ARM_JOINTS]
+        assert rows.label is not None
+        statuses = np.array(rows.label.names)[rows.label.codes.reshape(frames, -1)[:, 0]]
+        assert set(statuses) <= {status.name for status in Status}
+        assert (statuses[:5] == "WARMING_UP").all()
+        assert (statuses == "OK").mean() > 0.5
+        for name in set(statuses):
+            assert f"  {name}: {np.count_nonzero(statuses == name)}" in outcome.out
+        ok = np.flatnonzero(statuses == "OK")
+        ok = ok[ok < frames - 1]
+        predicted = rows.position.reshape(frames, steps, 6, 3)[ok, 0]
+        measured = np.stack([recording.joint(name) for name in ARM_JOINTS], axis=1)[ok + 1]
+        assert np.nanmedian(np.linalg.norm(predicted - measured, axis=-1)) < 0.02
+        assert rows.covariance is not None
+        assert (rows.covariance.reshape(frames, -1, 6)[ok][..., [0, 3, 5]] > 0).all()
+
+    def test_two_persons_at_once(self, kinecast: Kinecast, model: Path, data_root: Path, tmp_path: Path) -> None:
+        recordings = [person.select(slice(0, 60)) for person in load(data_root / "kth_handover_sample")]
+        table.write(tmp_path / "handover.parquet", recordings)
+        out = tmp_path / "predictions.csv"
+        options = ("--model", model, "--out", out, "--samples", 20)
+        assert kinecast("predict", tmp_path / "handover.parquet", *options).code == 0
+        rows = read_rows(out)
+        assert rows.person.names == ("giver", "taker")
+        assert rows.made is not None
+        assert (np.diff(rows.made) >= 0).all()
+        assert np.bincount(rows.person.codes).tolist() == [60 * 15 * 6, 60 * 15 * 6]
+
+
+class TestScenes:
+    def test_the_generated_table_is_the_generators(self, scene_file: Path) -> None:
+        shipped, made = Scene.load(scene_file), table_scene(SyntheticOptions())
+        assert np.array_equal(shipped.rows(np.zeros(1)), made.rows(np.zeros(1)))
+        assert set(shipped.goals) == set(made.goals)
+        for name, goal in made.goals.items():
+            assert vars(shipped.goals[name]).keys() == vars(goal).keys()
+            for key, value in vars(goal).items():
+                assert np.array_equal(vars(shipped.goals[name])[key], value)
+
+    def test_real_hands_stay_above_the_ha4m_table_and_come_near_it(self, data_root: Path) -> None:
+        scene = Scene.load(EXAMPLES / "scenes" / "ha4m_table.yaml")
+        for clip in ("IDU001V001", "IDU001V002"):
+            (recording,) = load(data_root / "ha4m_features_demo" / "UpSkel" / f"{clip}.npy")
+            arms = np.stack([recording.joint(name) for name in ARM_JOINTS], axis=1)
+            lowest = scene.clearance(arms, recording.stamps)
+            assert 0.0 < lowest.min() < 0.12
+            tips = np.stack([recording.joint("left_hand_tip"), recording.joint("right_hand_tip")])
+            (table_top,) = scene.obstacles
+            heights = table_top.signed_distance(tips)
+            for hand in heights:  # fingers touch it, both hands', and do not go through
+                assert abs(np.nanpercentile(hand, 1)) < 0.03
+
+    def test_an_action_of_ha4m_at_its_table(
+        self, kinecast: Kinecast, data_root: Path, tmp_path: Path, plain_pictures: None
+    ) -> None:
+        clips = data_root / "ha4m_features_demo" / "UpSkel"
+        kinecast(
+            *("evaluate", "--train", clips / "IDU001V001.npy", "--test", clips / "IDU001V002.npy"),
+            *("--methods", "zero_velocity,ridge_constrained", "--label", "screws", "--stride", 20, "--samples", 50),
+            *("--scene", EXAMPLES / "scenes" / "ha4m_table.yaml", "--repeats", 0, "--out", tmp_path / "results"),
+        )
+        metrics = scores(tmp_path / "results")
+        assert metrics["settings"]["label"] == "screws"
+        assert metrics["ground_truth_violations"]["scene"] == 0
+        assert metrics["methods"]["ridge_constrained"]["violations"]["scene"] == 0
+        assert 0 < metrics["settings"]["windows"] <= 265 / 20 + 1
