@@ -4,6 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/demo
 
+# Small matrices gain nothing from threads, and threads that wait by spinning starve those that work.
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_WAIT_POLICY ?= PASSIVE
+
 .PHONY: demo test check bench clean
 
 demo: $(VENV)/.demo

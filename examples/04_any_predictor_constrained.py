@@ -57,9 +57,9 @@ def features(windows: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    people = SyntheticOptions(subjects=5, recordings=1, duration=12.0)
+    people = SyntheticOptions(subjects=4, recordings=1, duration=12.0)
     scene = table_scene(people)
-    split = split_by(generate(people, seed=1), by_subject, ["synthetic-4"])
+    split = split_by(generate(people, seed=1), by_subject, ["synthetic-3"])
     windows = WindowOptions(stride=10)
     data = training_windows(split.train, windows, scene)
     limits, noise = limits_of(data, TrainingOptions()), sensor_noise(data)

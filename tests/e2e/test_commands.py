@@ -182,8 +182,9 @@ class TestEvaluate:
         assert not re.findall(r"url\((?!#)|@import", page)
         assert page.count("data:image/png;base64,") == page.count("data:image/gif;base64,") == 1
 
+    @pytest.mark.usefixtures("plain_pictures")
     def test_prints_the_table_and_where_the_report_is(
-        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path, plain_pictures: None
+        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
     ) -> None:
         out = tmp_path / "results"
         outcome = kinecast("evaluate", "--model", model, "--test", tables[1], "--out", out, *QUICK)
@@ -193,14 +194,9 @@ class TestEvaluate:
         assert outcome.out.endswith(f"\nreport: {out / 'report.html'}\n")
         assert outcome.err == ""
 
+    @pytest.mark.usefixtures("plain_pictures")
     def test_training_here_or_beforehand_is_the_same_and_seeds_decide(
-        self,
-        kinecast: Kinecast,
-        tables: tuple[Path, Path],
-        evaluation: Path,
-        scene_file: Path,
-        tmp_path: Path,
-        plain_pictures: None,
+        self, kinecast: Kinecast, tables: tuple[Path, Path], evaluation: Path, scene_file: Path, tmp_path: Path
     ) -> None:
         common = ("--test", tables[1], "--scene", scene_file, *QUICK)
         trained = ("evaluate", "--train", tables[0], "--methods", "zero_velocity, ridge_constrained", *common)
@@ -215,8 +211,9 @@ class TestEvaluate:
         assert crps[0] != crps[1]
         assert crps[0] == pytest.approx(crps[1], rel=0.2)
 
+    @pytest.mark.usefixtures("plain_pictures")
     def test_a_model_brings_its_rate_and_horizon(
-        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path, plain_pictures: None
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
     ) -> None:
         model, out = tmp_path / "slow.npz", tmp_path / "results"
         rate = ("--rate", 15, "--window", 0.4, "--horizon", 1.0)
@@ -226,20 +223,22 @@ class TestEvaluate:
         assert [metrics["settings"][key] for key in ("rate", "window", "horizon")] == [15.0, 0.4, 1.0]
         assert len(metrics["methods"]["zero_velocity"]["mpjpe_mm_by_step"]) == 15
 
+    @pytest.mark.usefixtures("plain_pictures")
     def test_models_of_one_method_are_told_apart(
-        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path, plain_pictures: None
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
     ) -> None:
         models = [tmp_path / "a" / "model.npz", tmp_path / "b" / "model.npz"]
         for model, recording in zip(models, tables, strict=True):
             model.parent.mkdir()
             kinecast("train", recording, "--method", "zero_velocity", "--out", model)
         outcome = kinecast("evaluate", "--model", *models, "--test", tables[1], "--out", tmp_path / "results", *QUICK)
-        assert list(scores(tmp_path / "results")["methods"]) == [f"zero_velocity ({model})" for model in models]
+        assert list(scores(tmp_path / "results")["methods"]) == ["zero_velocity #1", "zero_velocity #2"]
         assert "trained on recordings of these names" in outcome.err
         assert "synthetic/pick_and_place/1-0" in outcome.err
 
+    @pytest.mark.usefixtures("plain_pictures")
     def test_test_recordings_are_left_out_of_training(
-        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path, plain_pictures: None
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
     ) -> None:
         out = tmp_path / "results"
         options = ("--methods", "zero_velocity", "--out", out, *QUICK)
@@ -247,9 +246,8 @@ class TestEvaluate:
         assert scores(out)["settings"]["train"] == ["synthetic/pick_and_place/0-0"]
         assert "not trained on, because they are test recordings: synthetic/pick_and_place/1-0" in outcome.err
 
-    def test_one_action_alone(
-        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path, plain_pictures: None
-    ) -> None:
+    @pytest.mark.usefixtures("plain_pictures")
+    def test_one_action_alone(self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path) -> None:
         labels = load(tables[1])[0].labels
         assert labels is not None
         options = ("--stride", 1, "--repeats", 0, "--samples", 20, "--label", "Pi", "--out", tmp_path / "results")
@@ -327,9 +325,8 @@ class TestScenes:
             for hand in heights:  # fingers touch it, both hands', and do not go through
                 assert abs(np.nanpercentile(hand, 1)) < 0.03
 
-    def test_an_action_of_ha4m_at_its_table(
-        self, kinecast: Kinecast, data_root: Path, tmp_path: Path, plain_pictures: None
-    ) -> None:
+    @pytest.mark.usefixtures("plain_pictures")
+    def test_an_action_of_ha4m_at_its_table(self, kinecast: Kinecast, data_root: Path, tmp_path: Path) -> None:
         clips = data_root / "ha4m_features_demo" / "UpSkel"
         kinecast(
             *("evaluate", "--train", clips / "IDU001V001.npy", "--test", clips / "IDU001V002.npy"),

@@ -11,7 +11,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-__all__ = ["logarithm", "power_of_two", "sine_cosine"]
+__all__ = ["arctangent", "logarithm", "power_of_two", "sine_cosine"]
 
 MAGIC = 1.5 * 2.0**52
 """Added to a number below 2^51 in magnitude, it leaves the nearest integer in the lowest bits."""
@@ -25,6 +25,14 @@ C4, C6, C8, C10, C12, C14, C16 = ((-1.0) ** (k // 2) / math.factorial(k) for k i
 
 _POWER = np.polynomial.Chebyshev.interpolate(np.exp2, 7, domain=[-0.5, 0.5])
 P0, P1, P2, P3, P4, P5, P6, P7 = (float(c) for c in _POWER.convert(kind=np.polynomial.Polynomial).coef)
+
+HALF_PI, TAN_1_8, TAN_3_8 = 0.5 * math.pi, math.sqrt(2.0) - 1.0, math.sqrt(2.0) + 1.0
+_ARCTANGENT = np.polynomial.Chebyshev.interpolate(
+    lambda z: np.arctan(np.sqrt(z)) / np.sqrt(z), 10, domain=[0.0, TAN_1_8**2]
+)
+A0, A1, A2, A3, A4, A5, A6, A7, A8, A9, A10 = (
+    float(c) for c in _ARCTANGENT.convert(kind=np.polynomial.Polynomial).coef
+)
 
 LOG_2 = math.log(2.0)
 SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
@@ -70,3 +78,24 @@ def logarithm(x: float) -> float:
     # The exponent as a double, by its bits: a conversion would not be a vector instruction everywhere.
     whole = np.int64(EXPONENT_OF_2_52 + 0x8000000000000 + exponent).view(np.float64) - MAGIC
     return LOG_2 * whole + 2.0 * s * series
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+@no_type_check
+def arctangent(y: float, x: float) -> float:
+    """The angle of (x, y) in [−π, π], within 1e-15; 0 at the origin.
+
+    With t = b/a, (b − a)/(b + a) or −a/b of a = |x|, b = |y|, so that |t| ≤ tan π/8, it is 0, π/4 or π/2 more than
+    arctan t.
+    """
+    a, b = abs(x), abs(y)
+    steep, level = b > TAN_3_8 * a, b <= TAN_1_8 * a
+    over = b if level else (-a if steep else b - a)
+    under = a if level else (b if steep else b + a)
+    t = over / (under if under > 0.0 else 1.0)
+    z = t * t
+    series = A5 + z * (A6 + z * (A7 + z * (A8 + z * (A9 + z * A10))))
+    series = A0 + z * (A1 + z * (A2 + z * (A3 + z * (A4 + z * series))))
+    angle = (0.0 if level else (HALF_PI if steep else 0.5 * HALF_PI)) + t * series
+    angle = math.pi - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle

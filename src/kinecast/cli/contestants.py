@@ -92,11 +92,8 @@ def read_models(
         made = (card.frames, card.steps, card.rate)
         if made != wanted:
             raise ModelError(f"{path}: made for {frames.format(*made)}, not {frames.format(*wanted)}")
-    once = [card.method for card in cards]
-    methods = {
-        card.method if once.count(card.method) == 1 else f"{card.method} ({path})": method
-        for path, card, method in models
-    }
+    names = _unique([card.method for card in cards])
+    methods = {name: method for name, (_, _, method) in zip(names, models, strict=True)}
     trained_on = sorted({name for card in cards for name in card.trained_on})
     return Contestants(methods, _limits(cards), trained_on, options)
 
@@ -106,6 +103,14 @@ def warn_of_known(contestants: Contestants, test: Sequence[Recording]) -> None:
     known = [recording.name for recording in test if recording.name in contestants.trained_on]
     if known:
         note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """Names that occur more than once with a number behind."""
+    return [
+        f"{name} #{names[: place + 1].count(name)}" if names.count(name) > 1 else name
+        for place, name in enumerate(names)
+    ]
 
 
 def _limits(cards: Sequence[ModelCard]) -> JointLimits:

@@ -100,6 +100,7 @@ def evaluate(
     settings = {
         "version": __version__,
         "train": list(contestants.trained_on),
+        "models": {name: str(path) for name, path in zip(contestants.methods, model, strict=False)},
         "rate": options.rate,
         "window": options.window,
         "horizon": options.horizon,

@@ -8,7 +8,7 @@ from typing import Any, Protocol, no_type_check, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit, prange
+from numba import njit
 
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation
@@ -113,35 +113,33 @@ def forecast_with(
     return method.forecast(observation, rng, samples, scene, memory)  # type: ignore[call-arg]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 @no_type_check
 def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray, "T 6 3 3"]:
     """(T, 6, 3, 3) covariance of each joint's position at each step [m^2]."""
     draws, steps, joints, _ = samples.shape
+    means = np.zeros((steps, joints, 3))
+    for s in range(draws):
+        means += samples[s]
+    means /= draws
     covariances = np.zeros((steps, joints, 3, 3))
-    for t in prange(steps):
-        mean = np.zeros((joints, 3))
-        for s in range(draws):
-            mean += samples[s, t]
-        mean /= draws
-        for s in range(draws):
+    for s in range(draws):
+        for t in range(steps):
             for j in range(joints):
-                x, y, z = (
-                    samples[s, t, j, 0] - mean[j, 0],
-                    samples[s, t, j, 1] - mean[j, 1],
-                    samples[s, t, j, 2] - mean[j, 2],
-                )
+                x = samples[s, t, j, 0] - means[t, j, 0]
+                y = samples[s, t, j, 1] - means[t, j, 1]
+                z = samples[s, t, j, 2] - means[t, j, 2]
                 c = covariances[t, j]
                 c[0, 0] += x * x
-                c[1, 1] += y * y
-                c[2, 2] += z * z
                 c[0, 1] += x * y
                 c[0, 2] += x * z
+                c[1, 1] += y * y
                 c[1, 2] += y * z
-        for j in range(joints):
-            c = covariances[t, j]
-            c[1, 0], c[2, 0], c[2, 1] = c[0, 1], c[0, 2], c[1, 2]
-    return covariances / draws
+                c[2, 2] += z * z
+    covariances /= draws
+    covariances[..., 1, 0], covariances[..., 2, 0] = covariances[..., 0, 1], covariances[..., 0, 2]
+    covariances[..., 2, 1] = covariances[..., 1, 2]
+    return covariances
 
 
 @dataclass(frozen=True)

