@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from kinecast.cli import main
 from kinecast.datasets import table
@@ -55,15 +54,19 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.fixture
-def plain_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Evaluations draw one grey pixel: fast."""
+def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluations write their scores, and empty files for the rest: fast."""
     from kinecast.evaluation import run
 
     def draw(path: Path, *_: object) -> None:
-        Image.new("L", (1, 1)).save(path)
+        path.touch()
+
+    def write(_metrics: object, _histograms: object, folder: Path, _pictures: object) -> None:
+        (folder / "report.html").touch()
 
     monkeypatch.setattr(run, "draw_prediction", draw)
     monkeypatch.setattr(run, "animate_prediction", draw)
+    monkeypatch.setattr(run, "write_report", write)
 
 
 @pytest.fixture(scope="session")
@@ -73,8 +76,9 @@ def scene_file() -> Path:
 
 
 @pytest.fixture(scope="session")
-def model(tables: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small constrained model of the first person."""
+def model(tables: tuple[Path, Path], scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small constrained model of the first person at the table."""
     path = tmp_path_factory.mktemp("models") / "ridge.npz"
-    main(["train", str(tables[0]), "--method", "ridge_constrained", "--out", str(path)])
+    options = ["--method", "ridge_constrained", "--scene", str(scene_file), "--out", str(path)]
+    main(["train", str(tables[0]), *options])
     return path

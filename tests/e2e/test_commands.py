@@ -89,7 +89,7 @@ class TestInfo:
     @pytest.mark.parametrize(
         ("path", "names", "facts"),
         [
-            ("human_robot_animations/TossTheCan/0.csv.xz", ["TossTheCan/0"], "vicon, 1"),
+            ("human_robot_animations/TossTheCan/0.csv.xz", ["TossTheCan/0"], "vicon, 2123 frames, 21.2 s at 100 Hz"),
             ("ha4m_features_demo/UpSkel", ["IDU001V001", "IDU001V002"], "ha4m-features, 2427 frames, 80.9 s at 30 Hz"),
             ("human_assembly_data/Task1/Human2/trial2.txt.gz", ["trial2"], "lego, 855 frames, 28.5 s at 30 Hz"),
             (
@@ -182,7 +182,7 @@ class TestEvaluate:
         assert not re.findall(r"url\((?!#)|@import", page)
         assert page.count("data:image/png;base64,") == page.count("data:image/gif;base64,") == 1
 
-    @pytest.mark.usefixtures("plain_pictures")
+    @pytest.mark.usefixtures("no_drawing")
     def test_prints_the_table_and_where_the_report_is(
         self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
     ) -> None:
@@ -194,7 +194,7 @@ class TestEvaluate:
         assert outcome.out.endswith(f"\nreport: {out / 'report.html'}\n")
         assert outcome.err == ""
 
-    @pytest.mark.usefixtures("plain_pictures")
+    @pytest.mark.usefixtures("no_drawing")
     def test_training_here_or_beforehand_is_the_same_and_seeds_decide(
         self, kinecast: Kinecast, tables: tuple[Path, Path], evaluation: Path, scene_file: Path, tmp_path: Path
     ) -> None:
@@ -206,12 +206,12 @@ class TestEvaluate:
         assert list(same["methods"]) == ["zero_velocity", "ridge_constrained"]
         assert same["methods"]["ridge_constrained"] == before["methods"]["ridge_constrained"]
         assert same["ground_truth_violations"] == before["ground_truth_violations"]
-        assert same["settings"] == before["settings"]
+        assert same["settings"] | {"models": before["settings"]["models"]} == before["settings"]
         crps = [each["methods"]["ridge_constrained"]["crps_mm"] for each in (same, other)]
         assert crps[0] != crps[1]
         assert crps[0] == pytest.approx(crps[1], rel=0.2)
 
-    @pytest.mark.usefixtures("plain_pictures")
+    @pytest.mark.usefixtures("no_drawing")
     def test_a_model_brings_its_rate_and_horizon(
         self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
     ) -> None:
@@ -223,7 +223,7 @@ class TestEvaluate:
         assert [metrics["settings"][key] for key in ("rate", "window", "horizon")] == [15.0, 0.4, 1.0]
         assert len(metrics["methods"]["zero_velocity"]["mpjpe_mm_by_step"]) == 15
 
-    @pytest.mark.usefixtures("plain_pictures")
+    @pytest.mark.usefixtures("no_drawing")
     def test_models_of_one_method_are_told_apart(
         self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
     ) -> None:
@@ -236,7 +236,7 @@ class TestEvaluate:
         assert "trained on recordings of these names" in outcome.err
         assert "synthetic/pick_and_place/1-0" in outcome.err
 
-    @pytest.mark.usefixtures("plain_pictures")
+    @pytest.mark.usefixtures("no_drawing")
     def test_test_recordings_are_left_out_of_training(
         self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
     ) -> None:
@@ -246,7 +246,7 @@ class TestEvaluate:
         assert scores(out)["settings"]["train"] == ["synthetic/pick_and_place/0-0"]
         assert "not trained on, because they are test recordings: synthetic/pick_and_place/1-0" in outcome.err
 
-    @pytest.mark.usefixtures("plain_pictures")
+    @pytest.mark.usefixtures("no_drawing")
     def test_one_action_alone(self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path) -> None:
         labels = load(tables[1])[0].labels
         assert labels is not None
@@ -325,7 +325,7 @@ class TestScenes:
             for hand in heights:  # fingers touch it, both hands', and do not go through
                 assert abs(np.nanpercentile(hand, 1)) < 0.03
 
-    @pytest.mark.usefixtures("plain_pictures")
+    @pytest.mark.usefixtures("no_drawing")
     def test_an_action_of_ha4m_at_its_table(self, kinecast: Kinecast, data_root: Path, tmp_path: Path) -> None:
         clips = data_root / "ha4m_features_demo" / "UpSkel"
         kinecast(

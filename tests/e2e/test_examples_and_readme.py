@@ -83,7 +83,7 @@ def test_public_names_are_few_and_each_is_used_in_the_readme() -> None:
         assert re.search(rf"\b{name}\b", code), name
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
     """A link to a file finds it; one whose text is a name in backticks finds that name in the file."""
     for text, target in LINK.findall(page.read_text(encoding="utf-8")):

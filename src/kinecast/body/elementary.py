@@ -23,8 +23,8 @@ QUARTERS = 2.0 / math.pi
 S3, S5, S7, S9, S11, S13, S15 = ((-1.0) ** (k // 2) / math.factorial(k) for k in range(3, 16, 2))
 C4, C6, C8, C10, C12, C14, C16 = ((-1.0) ** (k // 2) / math.factorial(k) for k in range(4, 17, 2))
 
-_POWER = np.polynomial.Chebyshev.interpolate(np.exp2, 7, domain=[-0.5, 0.5])
-P0, P1, P2, P3, P4, P5, P6, P7 = (float(c) for c in _POWER.convert(kind=np.polynomial.Polynomial).coef)
+_POWER = np.polynomial.Chebyshev.interpolate(np.exp2, 8, domain=[-0.5, 0.5])
+P0, P1, P2, P3, P4, P5, P6, P7, P8 = (float(c) for c in _POWER.convert(kind=np.polynomial.Polynomial).coef)
 
 HALF_PI, TAN_1_8, TAN_3_8 = 0.5 * math.pi, math.sqrt(2.0) - 1.0, math.sqrt(2.0) + 1.0
 _ARCTANGENT = np.polynomial.Chebyshev.interpolate(
@@ -58,10 +58,10 @@ def sine_cosine(x: float) -> tuple[float, float]:
 @njit(cache=True, forceinline=True)
 @no_type_check
 def power_of_two(y: float) -> float:
-    """2^y, relative error below 1e-10, for |y| ≤ 1000: the integer part goes straight into the exponent's bits."""
+    """2^y, relative error below 1e-12, for |y| ≤ 1000: the integer part goes straight into the exponent's bits."""
     shifted = y + MAGIC
     f = y - (shifted - MAGIC)
-    p = P0 + f * (P1 + f * (P2 + f * (P3 + f * (P4 + f * (P5 + f * (P6 + f * P7))))))
+    p = P0 + f * (P1 + f * (P2 + f * (P3 + f * (P4 + f * (P5 + f * (P6 + f * (P7 + f * P8)))))))
     return np.int64(np.float64(p).view(np.int64) + (np.float64(shifted).view(np.int64) << 52)).view(np.float64)
 
 

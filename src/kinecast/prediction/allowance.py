@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import log_ndtr, logsumexp, ndtr
 
-from kinecast.body.limits import JointLimits, bounds
+from kinecast.body.limits import JointLimits
 from kinecast.body.posture import ANGLES, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.noise import angle_noise
@@ -28,8 +28,9 @@ STRAIGHT = np.radians(2.0)
 class Allowance:
     """Constraints on the pose at each step, for densities.
 
-    A pose is allowed at step t where every arm angle lies within Eq. 4's bounds for a step of length t·dt from the
-    last observed posture, and every joint and limb is free of obstacles (Eq. 7).
+    A pose is allowed at step t where every arm angle lies in its range and can be reached from the last observed
+    posture in t steps (Eq. 4), and every joint and limb is free of obstacles (Eq. 7). An angle last observed outside
+    its range widens the range that far.
 
     Attributes:
         draws: gives (S, T, 6, 3) draws of the unconstrained density, torso frame [m]; called once, when needed.
@@ -69,16 +70,12 @@ class Allowance:
         return log_p
 
     def _boxes(self, steps: int) -> tuple[Float[np.ndarray, "T 8"], Float[np.ndarray, "T 8"]]:
-        """(T, 8) lower and upper ends of the angles after 1 … T steps."""
+        """(T, 8) lower and upper ends of the angles after 1 … T steps; never empty."""
         assert self.limits is not None
-        lower, upper, speed = self.limits.of_posture()
-        table = np.array(
-            [
-                [bounds(lower[i], upper[i], speed[i], self.initial[i], t * self.observation.dt) for i in ANGLES]
-                for t in range(1, steps + 1)
-            ]
-        )
-        return table[..., 0], table[..., 1]
+        lower, upper, speed = (values[list(ANGLES)] for values in self.limits.of_posture())
+        last = self.initial[list(ANGLES)]
+        reach = speed * self.observation.dt * np.arange(1, steps + 1)[:, None]
+        return np.maximum(np.minimum(lower, last), last - reach), np.minimum(np.maximum(upper, last), last + reach)
 
     def _log_inside(self, poses: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T"]:
         start = np.broadcast_to(self.initial, (*poses.shape[:-3], 18))

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
 
+from kinecast.body.elementary import power_of_two
 from kinecast.prediction.series import SeriesStack
 
 __all__ = ["LANES", "Tiles", "lane_memory", "next_values", "tiled"]
@@ -24,10 +25,6 @@ STRIP = 6
 TILE = 4
 """Side of the squares in which the variance's factor is read: 16 numbers fit into registers."""
 
-MAGIC = 1.5 * 2.0**52
-"""Added to a small number, it leaves the nearest integer in the lowest bits."""
-_POWER = np.polynomial.Chebyshev.interpolate(np.exp2, 7, domain=[-0.5, 0.5])
-C0, C1, C2, C3, C4, C5, C6, C7 = (float(c) for c in _POWER.convert(kind=np.polynomial.Polynomial).coef)
 HALF_LOG2_E = 0.5 / math.log(2.0)
 
 
@@ -94,16 +91,6 @@ def lane_memory(tiles: Tiles) -> Float[np.ndarray, "K L"]:
     return np.zeros((tiles.bias.shape[1] + 5 + tiles.centres.shape[2], LANES))
 
 
-@njit(cache=True)
-@no_type_check
-def _power_of_two(y: float) -> float:
-    """2^y for y in [−1000, 1000], relative error below 1e-10: the integer part goes straight into the exponent."""
-    shifted = y + MAGIC
-    f = y - (shifted - MAGIC)
-    p = C0 + f * (C1 + f * (C2 + f * (C3 + f * (C4 + f * (C5 + f * (C6 + f * C7))))))
-    return np.int64(np.float64(p).view(np.int64) + (np.float64(shifted).view(np.int64) << 52)).view(np.float64)
-
-
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
 @no_type_check
 def next_values(
@@ -152,7 +139,7 @@ def next_values(
                 near = z0 * u0[lane] + z1 * u1[lane] + z2 * u2[lane]
                 kernel[lane] += near + (z3 * u3[lane] + z4 * u4[lane] + z5 * u5[lane])
         for lane in range(lanes):
-            k = _power_of_two(max(kernel[lane], -1000.0))
+            k = power_of_two(max(kernel[lane], -1000.0))
             kernel[lane] = k
             mean[lane] += weight * k
 

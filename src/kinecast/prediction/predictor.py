@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -40,6 +43,8 @@ class PredictorOptions:
         longest_delay: a frame older than this when it arrives is LATE [s].
         most_persons: persons followed at once; the one not seen for longest is forgotten first.
         forget_after: a person not seen for this long is forgotten [s].
+        threads: cores that compiled loops may use, where there are so many; they wait busily for one another, so
+            leave some to the rest of the robot.
     """
 
     samples: int = 1000
@@ -47,6 +52,7 @@ class PredictorOptions:
     longest_delay: float = 0.3
     most_persons: int = 64
     forget_after: float = 5.0
+    threads: int = 2
 
     def __post_init__(self) -> None:
         if not 1 <= self.samples <= 100_000:
@@ -55,6 +61,8 @@ class PredictorOptions:
             raise OptionError(f"longest_delay {self.longest_delay} s must be above 0")
         if self.most_persons < 1:
             raise OptionError(f"most_persons {self.most_persons} must be at least 1")
+        if self.threads < 1:
+            raise OptionError(f"threads {self.threads} must be at least 1")
 
 
 class Predictor:
@@ -98,7 +106,7 @@ class Predictor:
         return cls(methods[card.method], card.noise, scene, options)
 
     def _warm_up(self) -> None:
-        """Runs once on a resting figure, so that the first frame is as fast as the thousandth."""
+        """Observes a resting figure, so that the first frame is as fast as the thousandth."""
         rest = np.array(
             [
                 [0, 0.2, 1.4],
@@ -109,9 +117,9 @@ class Predictor:
                 [0.2, -0.2, 1.0],
             ]
         )
-        positions = np.repeat(rest[None], self.method.frames, axis=0)
-        observation = Observation(positions, np.array([0.0, 0.0, 1.0]), self.method.dt)
-        self.method.forecast(observation, np.random.default_rng(0), self.options.samples, self.scene)
+        for stamp in self.method.dt * np.arange(self.method.frames + 1):
+            self._observe(SkeletonFrame(float(stamp), ARM_JOINTS, rest), float(stamp))
+        self._tracks.clear()
 
     def observe(self, frame: SkeletonFrame, now: float | None = None) -> Prediction:
         """Takes in one frame and predicts.
@@ -126,7 +134,8 @@ class Predictor:
         """
         started = time.perf_counter()
         try:
-            prediction = self._observe(frame, frame.stamp if now is None else now)
+            with _at_most(self.options.threads):
+                prediction = self._observe(frame, frame.stamp if now is None else now)
         except Exception:
             # The loop of a robot must go on whatever happens here; the status makes it stop or slow down.
             log.exception("prediction failed for person %r at %r", frame.person, frame.stamp)
@@ -257,6 +266,17 @@ class Predictor:
                 "delay": max(now - stamp, 0.0),
             },
         )
+
+
+@contextmanager
+def _at_most(threads: int) -> Iterator[None]:
+    """Compiled loops called from this thread use no more threads than these."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(threads, before))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 def _ahead(times: Float[np.ndarray, " T"], now: float) -> Bool[np.ndarray, " T"]:

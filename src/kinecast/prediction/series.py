@@ -1,18 +1,17 @@
-"""Many scalar series, each with its own one-step sparse Gaussian process, stacked for compiled loops."""
+"""Many scalar series, each with its own one-step sparse Gaussian process, stacked for compiled loops (lanes)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
 from kinecast.errors import ModelError
 from kinecast.prediction.sparse_gp import SparseGP
 
-__all__ = ["SeriesStack", "next_value", "stack_from_arrays", "stack_of"]
+__all__ = ["SeriesStack", "stack_from_arrays", "stack_of"]
 
 
 class SeriesStack(NamedTuple):
@@ -37,56 +36,6 @@ class SeriesStack(NamedTuple):
     centre: Float[np.ndarray, " D"]
     signal: Float[np.ndarray, " D"]
     noise: Float[np.ndarray, " D"]
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-@no_type_check
-def next_value(
-    x: Float[np.ndarray, " N"], series: int, stack: SeriesStack, kernel: Float[np.ndarray, " M"]
-) -> tuple[float, float]:
-    """Mean and spread of one series' next value (kernel).
-
-    Args:
-        x: (N,) its last values.
-        series: which of the stack.
-        stack: the processes.
-        kernel: (M,) scratch.
-    """
-    inputs, pseudo = stack.pseudo.shape[1], stack.pseudo.shape[2]
-    for m in range(pseudo):
-        kernel[m] = 0.0
-    for n in range(inputs):
-        u = stack.gain[series, n] * x[n] - stack.offset[series, n]
-        row = stack.pseudo[series, n]
-        for m in range(pseudo):
-            kernel[m] += (u - row[m]) * (u - row[m])
-    for m in range(pseudo):
-        # exp(−d/2) as the 256th power of a ninth-degree Taylor polynomial: no branch, so it is vectorised;
-        # relative error below 1e-10. Beyond exp(−60) a pseudo-input says nothing.
-        y = max(-0.5 * kernel[m], -60.0) / 256.0
-        e = 1.0 + y * (1.0 + y / 2 * (1.0 + y / 3 * (1.0 + y / 4 * (1.0 + y / 5 * (1.0 + y / 6)))))
-        e += y**7 / 5040.0 * (1.0 + y / 8 * (1.0 + y / 9))
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        kernel[m] = e * e
-    mean = 0.0
-    for m in range(pseudo):
-        mean += stack.weights[series, m] * kernel[m]
-    explained = 0.0
-    for r in range(stack.factor.shape[1]):
-        row = stack.factor[series, r]
-        part = 0.0
-        for m in range(pseudo):
-            part += row[m] * kernel[m]
-        explained += part * part
-    noise = stack.noise[series]
-    variance = max(stack.signal[series] - explained, 0.0) + noise
-    return stack.centre[series] + mean, np.sqrt(variance)
 
 
 def stack_of(processes: Sequence[SparseGP]) -> SeriesStack:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import numba
 import numpy as np
 import pytest
 
@@ -15,6 +18,15 @@ from kinecast.prediction.observation import Observation, TrainingWindows
 
 OPTIONS = TrainingOptions(pseudo_inputs=8, iterations=10, points=200)
 UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Compiled loops on one core: test processes share the machine, and waiting for one another costs more."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -69,7 +69,7 @@ def test_angles_beyond_their_bounds_are_allowed_as_far_as_the_noise_explains(
         pose = points_from_postures(posture)[None]
         spread = angle_noise(posture[6:12], np.full(3, noise))[3]
         found = allowance(posed, pose[None], limits, None, noise).log_given(pose)
-        assert math.exp(found[0]) == pytest.approx(ndtr(-excess / spread), abs=1e-6)
+        assert math.exp(found[0]) == pytest.approx(ndtr(-excess / spread), abs=1e-4)
 
 
 def test_speed_bounds_widen_with_time(posed: Observation, initial: np.ndarray) -> None:
@@ -82,19 +82,18 @@ def test_speed_bounds_widen_with_time(posed: Observation, initial: np.ndarray) -
     np.testing.assert_allclose(found[2:], 0.0, atol=1e-6)
 
 
-def test_a_start_outside_its_range_is_excused_as_equation_4_excuses_it(posed: Observation, initial: np.ndarray) -> None:
+def test_a_start_outside_its_range_widens_it_but_no_further(posed: Observation, initial: np.ndarray) -> None:
     limits = JointLimits(flexion=AngleLimit(-1.0, initial[6] - 0.3, 2.0))
-    for step in range(1, 4):
-        lb, ub = bounds(-1.0, initial[6] - 0.3, 2.0, initial[6], step * posed.dt)
+    for change, allowed in ((-0.02, True), (-0.001, True), (0.03, False)):
         posture = initial.copy()
-        posture[6] = 0.5 * (lb + ub)
+        posture[[6, 12]] += change
         poses = np.repeat(points_from_postures(posture)[None], 3, axis=0)
-        found = allowance(posed, poses[None], limits, None, 0.002).log_given(poses)
-        assert found[step - 1] > math.log(0.2)
+        found = allowance(posed, poses[None], limits, None, 1e-5).log_given(poses)
+        assert ((found > math.log(0.5)) == allowed).all()
 
 
 def test_axial_rotation_does_not_matter_at_a_straight_elbow(posed: Observation, initial: np.ndarray) -> None:
-    limits = JointLimits(axial_rotation=AngleLimit(-0.6, -0.3, 50.0))
+    limits = JointLimits(axial_rotation=AngleLimit(-0.6, -0.3, 50.0), elbow=AngleLimit(0.0, 2.6, 50.0))
     found = []
     for bend in (math.radians(1.0), math.radians(20.0)):
         posture = initial.copy()

@@ -1,0 +1,93 @@
+"""Inverse kinematics of one arm: closed form, damped least squares, SciPy's least squares, particle swarm.
+
+python -m benchmarks.inverse_kinematics [--targets N] [--out JSON]
+
+All solve for the same poses, drawn inside the joints' ranges; each starts from the pose one frame earlier, which the swarm
+cannot use.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from benchmarks.machine import milliseconds, save
+from benchmarks.naive import LOWER, UPPER, arm, swarm_angles
+from kinecast.body.arm import forward_kinematics, jacobian
+from kinecast.body.inverse_kinematics import closed_form, damped_least_squares
+
+LENGTHS = np.array([0.29, 0.26])
+SIDE = 1.0
+
+
+def main() -> None:
+    """Times, prints, writes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--targets", type=int, default=100)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    run(arguments.targets, arguments.out)
+
+
+def run(targets: int, out: Path | None) -> dict[str, dict[str, float]]:
+    """Every solver on every target in turn."""
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(LOWER + 0.1, UPPER - 0.1, (targets, 4))
+    nearby = np.clip(truth + rng.normal(0.0, 0.05, truth.shape), LOWER, UPPER)
+
+    def stacked(theta: np.ndarray) -> np.ndarray:
+        return np.asarray(forward_kinematics(theta, LENGTHS, SIDE)).ravel()
+
+    def slopes(theta: np.ndarray) -> np.ndarray:
+        return np.asarray(jacobian(theta, LENGTHS, SIDE)).reshape(6, 4)
+
+    def by_closed_form(points: np.ndarray, start: np.ndarray) -> np.ndarray:
+        return np.asarray(closed_form(points[:1], points[1:], SIDE, start)[0][0])
+
+    def by_damped(points: np.ndarray, start: np.ndarray) -> np.ndarray:
+        return np.asarray(damped_least_squares(stacked, slopes, points.ravel(), start, LOWER, UPPER).theta)
+
+    def by_scipy(points: np.ndarray, start: np.ndarray) -> np.ndarray:
+        return np.asarray(least_squares(lambda theta: stacked(theta) - points.ravel(), start, bounds=(LOWER, UPPER)).x)
+
+    def by_swarm(points: np.ndarray, _start: np.ndarray) -> np.ndarray:
+        return swarm_angles(points[0], points[1], SIDE)
+
+    solvers: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+        "closed form": by_closed_form,
+        "damped least squares": by_damped,
+        "SciPy least_squares": by_scipy,
+        "particle swarm": by_swarm,
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in solvers}
+    errors: dict[str, list[float]] = {name: [] for name in solvers}
+    points = np.stack(arm(truth, *LENGTHS, SIDE), axis=1)
+    for name, solve in solvers.items():
+        solve(points[0], nearby[0])
+        for target, start in zip(points, nearby, strict=True):
+            begin = time.perf_counter()
+            theta = solve(target, start)
+            seconds[name].append(time.perf_counter() - begin)
+            errors[name].append(float(np.linalg.norm(np.stack(arm(theta, *LENGTHS, SIDE)) - target, axis=1).max()))
+    table = {
+        name: {
+            **milliseconds(seconds[name]),
+            "median_error_mm": 1e3 * float(np.median(errors[name])),
+            "within_1_mm": float(np.mean(np.array(errors[name]) < 1e-3)),
+        }
+        for name in solvers
+    }
+    save("inverse_kinematics", {"solvers": table}, out)
+    print(f"{'solver':24}{'p50 ms':>9}{'p99 ms':>9}{'median error mm':>18}{'within 1 mm':>13}")
+    for name, row in table.items():
+        print(f"{name:24}{row['p50_ms']:9.3f}{row['p99_ms']:9.3f}{row['median_error_mm']:18.2e}{row['within_1_mm']:13.0%}")
+    return table
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,455 @@
+"""Bad input: exit code 2, one line that names the file and the place, and nothing written."""
+
+from __future__ import annotations
+
+import json
+import lzma
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.datasets import table
+from kinecast.datasets.loading import load
+from kinecast.datasets.table_file import Rows, Words, write_rows
+
+Kinecast = Callable[..., Any]
+
+LEGO = ("left_wrist", "right_wrist", "left_elbow", "right_elbow", "left_shoulder", "right_shoulder")
+"""Columns of a LEGO file, three each: an easy format to get wrong by hand."""
+
+
+@pytest.fixture(scope="session")
+def numbers(tables: tuple[Path, Path]) -> np.ndarray:
+    """(60, 18) the first person's arms as a LEGO file has them: x right, y down, z forward [m]."""
+    (recording,) = load(tables[0])
+    columns = [recording.joint(name)[:60, [0, 2, 1]] * [1, -1, 1] for name in LEGO]
+    positions = np.concatenate(columns, axis=1)
+    return positions[np.isfinite(positions).all(axis=1)]
+
+
+def text_of(numbers: np.ndarray, separator: str = " ") -> list[str]:
+    """Lines of numbers."""
+    return [separator.join(f"{value:.6f}" for value in row) for row in numbers]
+
+
+def refused(outcome: Any, *parts: object) -> None:
+    """Exit code 2 and one line with these parts in this order."""
+    assert outcome.code == 2
+    assert outcome.out == ""
+    assert outcome.err.startswith("kinecast: ")
+    assert outcome.err.count("\n") == 1
+    place = 0
+    for part in map(str, parts):
+        assert part in outcome.err[place:], (part, outcome.err)
+        place = outcome.err.index(part, place) + len(part)
+
+
+# Recordings
+
+
+def broken_recordings() -> dict[str, tuple[Callable[[Path, np.ndarray], object], str, tuple[str, ...]]]:
+    """What is wrong → how to write it, its file name, and what must be said of it."""
+
+    def lines(path: Path, text: list[str]) -> None:
+        path.write_text("\n".join(text) + "\n")
+
+    def wrong_columns(path: Path, numbers: np.ndarray) -> None:
+        text = text_of(numbers)
+        lines(path, [*text[:10], text[10] + " 0.5", *text[11:]])
+
+    def wrong_number(path: Path, numbers: np.ndarray) -> None:
+        text = text_of(numbers)
+        cells = text[10].split()
+        lines(path, [*text[:10], " ".join([*cells[:3], "o.5", *cells[4:]]), *text[11:]])
+
+    def truncated(path: Path, numbers: np.ndarray) -> None:
+        content = lzma.compress("\n".join(text_of(numbers)).encode())
+        path.write_bytes(content[: len(content) // 2])
+
+    def armless(path: Path, numbers: np.ndarray) -> None:
+        joints = [name for name in LEGO if name != "right_elbow"]
+        frames = len(numbers)
+        write_rows(
+            path,
+            Rows(
+                stamp=np.repeat(np.arange(frames) / 30, len(joints)),
+                person=Words.of(["0"] * frames * len(joints)),
+                joint=Words.of(joints * frames),
+                position=np.ascontiguousarray(numbers[:, :15].reshape(-1, 3)),
+            ),
+        )
+
+    def bad_cell_in_table(path: Path, numbers: np.ndarray) -> None:
+        cells = [f"{k / 30:.4f},0,{name},{k % 7},1,1" for k in range(len(numbers)) for name in LEGO]
+        cells[8] = cells[8].replace(",1,1", ",one,1")
+        lines(path, ["stamp,person,joint,x,y,z", *cells])
+
+    def no_rate(path: Path, _: np.ndarray) -> None:
+        head = ["Objects", "0", ",,Global Angle head:head,,,,,,", "Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ"]
+        lines(path, [*head, ",,rad,rad,rad,mm,mm,mm", "1,0,0,0,0,0,0,0", "2,0,0,0,0,0,0,0"])
+
+    return {
+        "an empty file": (lambda path, _: path.touch(), "a.txt", ("empty file",)),
+        "an empty table": (lambda path, _: path.touch(), "a.parquet", ("empty file",)),
+        "a truncated xz file": (truncated, "a.txt.xz", ("truncated or damaged",)),
+        "a wrong column count": (wrong_columns, "a.txt", ("line 11", "19 columns, expected 18")),
+        "text in a number": (wrong_number, "a.txt", ("line 11", "column 4", "'o.5'")),
+        "text in a table's number": (bad_cell_in_table, "a.csv", ("line 10", "one")),
+        "millimetres": (lambda path, n: lines(path, text_of(1000 * n)), "a.txt", ("elbow is", "millimetres")),
+        "no right elbow": (armless, "a.parquet", ("right_elbow",)),
+        "a single frame": (lambda path, n: lines(path, text_of(n[:1])), "a.txt", ("1 frame", "at least 2")),
+        "all NaN": (lambda path, n: lines(path, text_of(n * np.nan)), "a.txt", (ARM_JOINTS[0], "every one of")),
+        "a rate of zero": (no_rate, "a.csv", ("line 2", "rate 0.0 Hz")),
+        "no recording at all": (lambda path, _: path.write_text("Dear reader,\n"), "a.txt", ("formats tried",)),
+    }
+
+
+@pytest.mark.parametrize("problem", broken_recordings())
+def test_broken_recordings_are_refused(kinecast: Kinecast, numbers: np.ndarray, tmp_path: Path, problem: str) -> None:
+    write, name, parts = broken_recordings()[problem]
+    (tmp_path / "in").mkdir()
+    write(tmp_path / "in" / name, numbers)
+    commands = (
+        ("info", tmp_path / "in" / name),
+        ("train", tmp_path / "in", "--method", "zero_velocity", "--out", tmp_path / "model.npz"),
+        ("predict", tmp_path / "in" / name, "--out", tmp_path / "predictions.csv"),
+    )
+    for command in commands[:1] if name == "a.txt" and "tried" in parts[0] else commands:
+        refused(kinecast(*command), name, *parts)
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+    assert [path.name for path in (tmp_path / "in").iterdir()] == [name]
+
+
+def test_one_broken_file_among_good_ones_is_named(
+    kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+) -> None:
+    (tmp_path / "broken.parquet").write_bytes(tables[0].read_bytes()[:5000])
+    refused(kinecast("info", tables[0], tmp_path / "broken.parquet", tables[1]), tmp_path / "broken.parquet", "damaged")
+
+
+def test_missing_paths_are_named(kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path) -> None:
+    missing = tmp_path / "missing.parquet"
+    out = ("--out", tmp_path / "results")
+    refused(kinecast("info", missing), missing, "no such file")
+    refused(kinecast("evaluate", "--train", missing, "--test", tables[0], *out), missing, "no such file")
+    refused(kinecast("evaluate", "--train", tables[0], "--test", missing, *out), missing, "no such file")
+    refused(kinecast("info"), "no recording given")
+    refused(kinecast("evaluate", "--train", tables[0], "--test", *out), "--test: no recording given")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_several_recordings_is_too_much_for_predict(
+    kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
+) -> None:
+    outcome = kinecast("predict", tables[0].parent, "--model", model, "--out", tmp_path / "a.csv")
+    refused(outcome, tables[0].parent, "2 recordings (synthetic/pick_and_place/0-0", "takes one")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_testing_on_what_was_trained_on_is_refused(
+    kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Also under another name and in another format."""
+    copy = tmp_path / "copy.csv"
+    table.write(copy, load(tables[0]))
+    for train in (tables[0], copy):
+        outcome = kinecast("evaluate", "--train", train, "--test", tables[0], "--out", tmp_path / "results")
+        refused(outcome, "every training recording is also a test recording", "synthetic/pick_and_place/0-0")
+    assert list(tmp_path.iterdir()) == [copy]
+
+
+# Options
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("--rate", 0), ("rate is 0.0 Hz", "1 to 1000 Hz")),
+        (("--rate", "nan"), ("rate is nan Hz",)),
+        (("--horizon", 1000), ("horizon is 1000.0 s", "to 10 s")),
+        (("--horizon", 10, "--rate", 1000), ("horizon is 10.0 s", "0.3 s at 1000 Hz", "300 frames")),
+        (("--horizon", -0.5), ("horizon is -0.5 s",)),
+        (("--horizon", 6.9), ("no window of 7.1 s",)),
+        (("--window", 0.01), ("window is 0.01 s", "2 to 300 frames")),
+        (("--stride", 0), ("stride is 0 frames",)),
+        (("--samples", 0), ("samples 0",)),
+        (("--samples", 10**9), ("samples 1000000000", "100000")),
+        (("--repeats", -1), ("repeats -1",)),
+        (("--seed", -1), ("seed is -1",)),
+        (("--methods", "ridge,magic"), ("unknown method magic", "zero_velocity")),
+        (("--methods", " , "), ("unknown method (none)",)),
+        (("--label", "Zz"), ("'Zz' does not occur", "Ca, Id, Pi, Pl, Re")),
+        (("--format", "c3d"), ("'c3d'", "vicon")),
+        (("--scene", "nowhere.yaml"), ("nowhere.yaml", "no such file")),
+        (("--model", "some.npz"), ("either --train", "or --model")),
+    ],
+)
+def test_options_out_of_range_are_refused(
+    kinecast: Kinecast,
+    tables: tuple[Path, Path],
+    tmp_path: Path,
+    options: tuple[object, ...],
+    parts: tuple[str, ...],
+) -> None:
+    common = ("evaluate", "--train", tables[0], "--test", tables[1], "--out", tmp_path / "results")
+    methods = () if "--methods" in options else ("--methods", "zero_velocity")
+    refused(kinecast(*common, *methods, *options), *parts)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_command_line_is_refused(kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "results")
+    for arguments in (
+        (),
+        ("guess",),
+        ("evaluate", "--test", tables[0]),
+        ("evaluate", "--train", tables[0], "--test", tables[1], *out, "--stride", "five"),
+        ("evaluate", "--train", tables[0], "--test", tables[1], *out, "--speed", "5"),
+    ):
+        outcome = kinecast(*arguments)
+        assert outcome.code == 2
+        assert outcome.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ("expected entries", "None")),
+        ("table: {hight: 0.9}", ("table", "'hight'", "height")),
+        ("table: {height: 900}", ("table.height", "900", "metres")),
+        ("table: {height: 0.9\nboxes: [", ("line", "not valid YAML")),
+        ("boxes:\n  - {center: [0, 0, 1], size: [1, 1, -1]}", ("boxes[0]", "size")),
+    ],
+)
+def test_broken_scenes_are_refused(
+    kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path, text: str, parts: tuple[str, ...]
+) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(text)
+    for command in (
+        ("train", tables[0], "--out", tmp_path / "model.npz"),
+        ("evaluate", "--model", model, "--test", tables[1], "--out", tmp_path / "results"),
+        ("predict", tables[1], "--model", model, "--out", tmp_path / "a.parquet"),
+    ):
+        refused(kinecast(*command, "--scene", scene), scene, *parts)
+    assert list(tmp_path.iterdir()) == [scene]
+
+
+def test_a_scene_in_another_frame_is_suspected(kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("table: {height: 3.0}")
+    outcome = kinecast("train", tables[0], "--scene", scene, "--out", tmp_path / "model.npz")
+    refused(outcome, "training windows end inside an obstacle", "frame?")
+
+
+# Models
+
+
+class Bomb:
+    """Makes a folder when unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Callable[[str], None], tuple[str]]:
+        return os.mkdir, (str(self.path),)
+
+
+def broken_models(path: Path, model: Path) -> dict[str, tuple[Callable[[], object], tuple[str, ...]]]:
+    """What is wrong → how to write it, and what must be said of it."""
+    with np.load(model) as file:
+        arrays = dict(file)
+
+    def changed(**entries: object) -> None:
+        card = json.loads(arrays["card"].tobytes()) | entries
+        np.savez(path, **{**arrays, "card": np.frombuffer(json.dumps(card).encode(), np.uint8)})
+
+    bomb = np.array([Bomb(path.parent / "exploded")], dtype=object)
+    return {
+        "no file": (lambda: None, ("No such file",)),
+        "an empty file": (path.touch, ("not a readable model",)),
+        "no npz": (lambda: path.write_text("model"), ("not a readable model",)),
+        "half a model": (lambda: path.write_bytes(model.read_bytes()[:3000]), ("not a readable model",)),
+        "a foreign npz": (lambda: np.savez(path, a=np.ones(3)), ("not a kinecast model",)),
+        "a pickle": (lambda: np.savez(path, allow_pickle=True, card=bomb), ("not a readable model", "pickle")),
+        "another skeleton": (lambda: changed(joints=["left_hip", *ARM_JOINTS[1:]]), ("left_hip", "predicts")),
+        "another version": (lambda: changed(version=99), ("version 99",)),
+        "an unknown method": (lambda: changed(method="magic"), ("'magic'",)),
+        "arrays of another size": (lambda: changed(frames=4), ("arrays do not fit",)),
+        "no finite numbers": (
+            lambda: np.savez(path, **{**arrays, "extra": np.array([np.nan])}),
+            ("extra", "finite numbers"),
+        ),
+    }
+
+
+MODEL_PROBLEMS = (
+    *("no file", "an empty file", "no npz", "half a model", "a foreign npz", "a pickle", "another skeleton"),
+    *("another version", "an unknown method", "arrays of another size", "no finite numbers"),
+)
+
+
+@pytest.mark.parametrize("problem", MODEL_PROBLEMS)
+def test_broken_models_are_refused(
+    kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path, problem: str
+) -> None:
+    path = tmp_path / "model.npz"
+    write, parts = broken_models(path, model)[problem]
+    write()
+    there = list(tmp_path.iterdir())
+    outcome = kinecast("evaluate", "--model", path, "--test", tables[1], "--out", tmp_path / "results")
+    refused(outcome, path, *parts)
+    refused(kinecast("predict", tables[1], "--model", path, "--out", tmp_path / "a.csv"), path, *parts)
+    assert list(tmp_path.iterdir()) == there
+
+
+def test_a_model_for_another_rate_is_refused(
+    kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
+) -> None:
+    common = ("evaluate", "--test", tables[1], "--out", tmp_path / "results")
+    outcome = kinecast(*common, "--model", model, "--rate", 15)
+    refused(outcome, model, "6 frames seen and 15 predicted at 30 Hz, not 3 frames seen and 8 predicted at 15 Hz")
+    slow = tmp_path / "slow.npz"
+    kinecast("train", tables[0], "--method", "zero_velocity", "--rate", 15, "--out", slow)
+    refused(kinecast(*common, "--model", model, slow), slow, "3 frames seen and 8 predicted at 15 Hz, not 6")
+    refused(kinecast(*common, "--model", model, "--methods", "ridge"), "--methods goes with --train")
+    assert list(tmp_path.iterdir()) == [slow]
+
+
+# Where results go
+
+
+def test_places_where_nothing_can_be_written_are_refused_first(
+    kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
+) -> None:
+    taken = tmp_path / "taken"
+    taken.touch()
+    evaluate = ("evaluate", "--model", model, "--test", tables[1], "--out")
+    train, predict = ("train", tables[0], "--out"), ("predict", tables[1], "--model", model, "--out")
+    for command, out, part in (
+        (train, tmp_path / "model.txt", "must end in .npz"),
+        (train, tmp_path / "nowhere" / "model.npz", "there is no folder"),
+        (train, taken / "model.npz", "there is no folder"),
+        (predict, tmp_path / "a.xlsx", "must end in .parquet or .csv"),
+        (predict, tmp_path / "nowhere" / "a.csv", "there is no folder"),
+        (evaluate, taken, "is a file, not a folder"),
+        (evaluate, taken / "results", "is a file, not a folder"),
+        (("download", "handovers", "--out"), taken, "is a file, not a folder"),
+    ):
+        refused(kinecast(*command, out), f"--out {out}", part)
+    assert list(tmp_path.iterdir()) == [taken]
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder that even root cannot write in")
+def test_folders_that_are_not_writable_are_refused_first(
+    kinecast: Kinecast, tables: tuple[Path, Path], model: Path
+) -> None:
+    outcome = kinecast("evaluate", "--model", model, "--test", tables[1], "--out", "/proc/results")
+    refused(outcome, "--out /proc/results", "nothing can be written in /proc")
+    outcome = kinecast("train", tables[0], "--method", "zero_velocity", "--out", "/proc/model.npz")
+    refused(outcome, "--out /proc/model.npz", "nothing can be written in /proc")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (OSError(28, "No space left on device"), 2, "kinecast: [Errno 28] No space left on device\n"),
+        (KeyboardInterrupt(), 130, "kinecast: interrupted\n"),
+        (MemoryError(), 2, "kinecast: out of memory: "),
+    ],
+)
+def test_trouble_while_writing_leaves_nothing(
+    kinecast: Kinecast,
+    tables: tuple[Path, Path],
+    model: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    code: int,
+    message: str,
+) -> None:
+    from kinecast.evaluation import run
+
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(run, "draw_prediction", fail)
+    options = ("--stride", 100, "--samples", 20, "--repeats", 0, "--out", tmp_path / "new" / "results")
+    outcome = kinecast("evaluate", "--model", model, "--test", tables[1], *options)
+    assert outcome.code == code
+    assert outcome.err.startswith(message)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_download_leaves_no_folder(kinecast: Kinecast, tmp_path: Path) -> None:
+    refused(kinecast("download", "everything", "--out", tmp_path / "new"), "no public set 'everything'")
+    outcome = kinecast("download", "handovers", "--only", "*.exe", "--out", tmp_path / "new")
+    refused(outcome, "handovers: no file matches '*.exe'")
+    assert list(tmp_path.iterdir()) == []
+
+
+# In a process of their own
+
+
+def test_a_two_gigabyte_file_needs_little_memory(numbers: np.ndarray, model: Path, tmp_path: Path) -> None:
+    """As recording, as model and as scene; nothing of it is on the disk."""
+    head = {
+        "a.txt": "\n".join(text_of(numbers)).encode(),
+        "a.parquet": b"PAR1",
+        "a.npz": model.read_bytes(),
+        "a.yaml": b"table: {height: 0.9}\n",
+    }
+    for name, content in head.items():
+        with (tmp_path / name).open("wb") as file:
+            file.write(content)
+            file.truncate(2 * 10**9)
+    (tmp_path / "fine.txt").write_bytes(head["a.txt"])
+    script = """
+import resource, sys
+from kinecast.cli import main
+for command in (
+    "info a.txt", "info a.parquet", "evaluate --test fine.txt --model a.npz --out out",
+    "train fine.txt --scene a.yaml --out b.npz",
+):
+    try:
+        main(command.split())
+    except SystemExit as exit_:
+        print(exit_.code)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    *codes, megabytes = done.stdout.split()
+    assert codes == ["2"] * 4
+    assert [line.split()[1].rstrip(":") for line in done.stderr.splitlines()] == list(head)
+    assert int(megabytes) < 500
+    assert sorted(path.name for path in tmp_path.iterdir()) == [*sorted(head), "fine.txt"]
+
+
+def test_ctrl_c_leaves_nothing(tables: tuple[Path, Path], model: Path, tmp_path: Path) -> None:
+    script = f"""
+import os, signal, threading
+from kinecast.cli import main
+threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --samples 5000 --out out".split())
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "kinecast: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_installed_command_ends_with_the_same_codes(numbers: np.ndarray, tmp_path: Path) -> None:
+    path = tmp_path / "arms.txt"
+    path.write_text("\n".join(text_of(1000 * numbers)))
+    command = Path(sys.executable).with_name("kinecast")
+    done = subprocess.run([command, "info", path], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"kinecast: {path}: left_shoulder to left_elbow is ")
+    assert done.stderr.endswith("; the file seems to be in millimetres\n")
