@@ -2,8 +2,8 @@
 
 python -m benchmarks.inverse_kinematics [--targets N] [--out JSON]
 
-All solve for the same poses, drawn inside the joints' ranges; each starts from the pose one frame earlier, which the swarm
-cannot use.
+All solve for the same poses, drawn inside the joints' ranges; each starts from the pose one frame earlier, which the
+swarm cannot use.
 """
 
 from __future__ import annotations
@@ -85,7 +85,9 @@ def run(targets: int, out: Path | None) -> dict[str, dict[str, float]]:
     save("inverse_kinematics", {"solvers": table}, out)
     print(f"{'solver':24}{'p50 ms':>9}{'p99 ms':>9}{'median error mm':>18}{'within 1 mm':>13}")
     for name, row in table.items():
-        print(f"{name:24}{row['p50_ms']:9.3f}{row['p99_ms']:9.3f}{row['median_error_mm']:18.2e}{row['within_1_mm']:13.0%}")
+        print(
+            f"{name:24}{row['p50_ms']:9.3f}{row['p99_ms']:9.3f}{row['median_error_mm']:18.2e}{row['within_1_mm']:13.0%}"
+        )
     return table
 
 

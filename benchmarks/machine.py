@@ -6,6 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +19,27 @@ RESULTS = Path(__file__).parent / "results"
 def facts() -> dict[str, Any]:
     """Cores, load and versions: figures compare only within one run."""
     return {
-        "cores": os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "threads": numba.get_num_threads(),
         "load": os.getloadavg()[0],
         "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
+        **{name: version(name) for name in ("numpy", "numba", "scipy", "scikit-learn", "pyswarms")},
     }
 
 
 def milliseconds(seconds: Sequence[float]) -> dict[str, float]:
-    """Median, 99th percentile and count."""
+    """Least, median, 99th percentile and count."""
     return {
+        "least_ms": 1e3 * float(np.min(seconds)),
         "p50_ms": 1e3 * float(np.percentile(seconds, 50)),
         "p99_ms": 1e3 * float(np.percentile(seconds, 99)),
         "count": len(seconds),
     }
 
 
-def save(name: str, result: dict[str, Any], path: Path | None) -> None:
-    """Writes a result with the machine's facts beside it."""
+def save(name: str, result: dict[str, Any], path: Path | None, before: dict[str, Any]) -> None:
+    """Writes a result with the machine's facts beside it, those from before the run too: others may have used it."""
     target = path or RESULTS / f"{name}.json"
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(json.dumps({"machine": facts(), **result}, indent=1) + "\n")
+    machine = {**facts(), "load_before": before["load"]}
+    target.write_text(json.dumps({"machine": machine, **result}, indent=1) + "\n")

@@ -1,6 +1,18 @@
-"""The stack a reader of the paper would write: scikit-learn, SciPy and pyswarms, vectorised where that is easy."""
+"""The stack a reader of the paper would write: scikit-learn, SciPy and pyswarms, vectorised over samples throughout.
+
+Each angle's process predicts all samples in one call, and so does each truncated normal draw. The swarm solves the
+newest frame only; the window's others are taken as solved when they were new.
+"""
 
 from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+os.environ.setdefault("LOG_CFG", str(Path(__file__).parent / "logging.yaml"))
 
 import numpy as np
 from pyswarms.single import GlobalBestPSO
@@ -9,11 +21,14 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
 from kinecast.body.limits import JointLimits
+from kinecast.body.posture import ANGLES, postures_from_points
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 LIMITS = JointLimits()
 LOWER, UPPER, SPEED = LIMITS.lower[:4], LIMITS.upper[:4], LIMITS.speed[:4]
 PARTICLES, ITERATIONS = 20, 50
+"""Of a swarm; pyswarms' own examples take 10 to 50 and 100 to 1000."""
+SIDES = (1.0, -1.0)
 
 
 def arm(theta: np.ndarray, upper: float, fore: float, side: float) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +44,7 @@ def arm(theta: np.ndarray, upper: float, fore: float, side: float) -> tuple[np.n
 
 def swarm_angles(elbow: np.ndarray, wrist: np.ndarray, side: float) -> np.ndarray:
     """Inverse kinematics by particle swarm, as the paper has it."""
-    upper, fore = np.linalg.norm(elbow), np.linalg.norm(wrist - elbow)
+    upper, fore = float(np.linalg.norm(elbow)), float(np.linalg.norm(wrist - elbow))
 
     def cost(particles: np.ndarray) -> np.ndarray:
         elbows, wrists = arm(particles, upper, fore, side)
@@ -40,45 +55,53 @@ def swarm_angles(elbow: np.ndarray, wrist: np.ndarray, side: float) -> np.ndarra
 
 
 class NaiveConstrained:
-    """`gp_constrained` with off-the-shelf parts: a Gaussian process per angle and arm, truncated normals, swarm IK."""
+    """`gp_constrained` with off-the-shelf parts: a Gaussian process per angle and arm, truncated normals, swarm IK.
+
+    Attributes:
+        seconds: spent in each part, over all steps so far.
+    """
 
     def __init__(self, windows: TrainingWindows, points: int = 300, seed: int = 0) -> None:
         rows = np.random.default_rng(seed).permutation(len(windows))[:points]
         both = np.concatenate([windows.points, windows.future_points[:, :1]], axis=1)[rows]
-        # Training targets by closed form: only the online step is timed.
-        from kinecast.body.posture import postures_from_points
-
         postures = postures_from_points(both)
         frames = windows.observed.shape[1]
         self.models = []
-        for place in (6, 7, 8, 9, 12, 13, 14, 15):
-            kernel = RBF(np.full(frames, 1.0)) + WhiteKernel(1e-3)
-            model = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=0)
+        for place in ANGLES:
+            model = GaussianProcessRegressor(RBF(np.full(frames, 1.0)) + WhiteKernel(1e-3), normalize_y=True)
             self.models.append(model.fit(postures[:, :frames, place], postures[:, frames, place]))
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        yield
+        self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - begin
 
     def step(self, observation: Observation, steps: int, samples: int) -> np.ndarray:
-        """(S, T, 4, 3) elbows and wrists of both arms from the window."""
-        points = observation.points
-        tracks = np.empty((2, len(points), 4))
-        bones = np.empty((2, 2))
-        for side, first in ((0, 0), (1, 3)):
-            for n, pose in enumerate(points):
-                elbow, wrist = pose[first + 1] - pose[first], pose[first + 2] - pose[first]
-                tracks[side, n] = swarm_angles(elbow, wrist, 1.0 - 2.0 * side)
-            bones[side] = np.linalg.norm(points[-1, first + 1] - points[-1, first]), np.linalg.norm(
-                points[-1, first + 2] - points[-1, first + 1]
-            )
+        """(S, T, 4, 3) elbows and wrists of both arms, relative to their shoulders, from the window."""
+        poses = observation.points
+        solved = postures_from_points(poses)
         result = np.empty((samples, steps, 4, 3))
-        past = np.repeat(tracks[None], samples, axis=0)
-        for t in range(steps):
-            now = np.empty((samples, 2, 4))
-            for side in range(2):
+        for which, side in enumerate(SIDES):
+            at = 3 * which
+            elbow, wrist = poses[-1, at + 1] - poses[-1, at], poses[-1, at + 2] - poses[-1, at]
+            track = solved[:, 6 + 6 * which : 10 + 6 * which].copy()
+            with self._timed("particle swarm"):
+                track[-1] = swarm_angles(elbow, wrist, side)
+            bones = float(np.linalg.norm(elbow)), float(np.linalg.norm(wrist - elbow))
+            past = np.repeat(track[None], samples, axis=0)
+            for t in range(steps):
+                now = np.empty((samples, 4))
                 for i in range(4):
-                    mean, spread = self.models[4 * side + i].predict(past[:, side, :, i], return_std=True)
-                    before = past[:, side, -1, i]
+                    with self._timed("Gaussian processes"):
+                        mean, spread = self.models[4 * which + i].predict(past[:, :, i], return_std=True)
+                    before = past[:, -1, i]
                     lower = np.maximum(LOWER[i], before - SPEED[i] * observation.dt)
                     upper = np.maximum(np.minimum(UPPER[i], before + SPEED[i] * observation.dt), lower + 1e-6)
-                    now[:, side, i] = truncnorm.rvs((lower - mean) / spread, (upper - mean) / spread, mean, spread)
-                result[:, t, 2 * side], result[:, t, 2 * side + 1] = arm(now[:, side], *bones[side], 1.0 - 2.0 * side)
-            past = np.concatenate([past[:, :, 1:], now[:, :, None]], axis=2)
+                    with self._timed("truncated normals"):
+                        now[:, i] = truncnorm.rvs((lower - mean) / spread, (upper - mean) / spread, mean, spread)
+                with self._timed("forward kinematics"):
+                    result[:, t, 2 * which], result[:, t, 2 * which + 1] = arm(now, *bones, side)
+                past = np.concatenate([past[:, 1:], now[:, None]], axis=1)
         return result

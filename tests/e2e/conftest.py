@@ -12,7 +12,7 @@ from kinecast.cli import main
 from kinecast.datasets import table
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 
-PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=7.0)
+PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=5.0)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def kinecast(capsys: pytest.CaptureFixture[str]) -> Kinecast:
 
 @pytest.fixture(scope="session")
 def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Two files, each with seven seconds of another person moving cubes on a table."""
+    """Two files, each with five seconds of another person moving cubes on a table."""
     folder = tmp_path_factory.mktemp("recordings")
     first, second = generate(PEOPLE, seed=3)
     for name, recording in (("first", first), ("second", second)):
@@ -78,7 +78,7 @@ def scene_file() -> Path:
 @pytest.fixture(scope="session")
 def model(tables: tuple[Path, Path], scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small constrained model of the first person at the table."""
-    path = tmp_path_factory.mktemp("models") / "ridge.npz"
-    options = ["--method", "ridge_constrained", "--scene", str(scene_file), "--out", str(path)]
+    path = tmp_path_factory.mktemp("models") / "kalman.npz"
+    options = ["--method", "kalman_constrained", "--scene", str(scene_file), "--out", str(path)]
     main(["train", str(tables[0]), *options])
     return path

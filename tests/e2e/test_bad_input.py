@@ -176,7 +176,7 @@ def test_testing_on_what_was_trained_on_is_refused(
         (("--horizon", 1000), ("horizon is 1000.0 s", "to 10 s")),
         (("--horizon", 10, "--rate", 1000), ("horizon is 10.0 s", "0.3 s at 1000 Hz", "300 frames")),
         (("--horizon", -0.5), ("horizon is -0.5 s",)),
-        (("--horizon", 6.9), ("no window of 7.1 s",)),
+        (("--horizon", 4.9), ("no window of 5.1 s",)),
         (("--window", 0.01), ("window is 0.01 s", "2 to 300 frames")),
         (("--stride", 0), ("stride is 0 frames",)),
         (("--samples", 0), ("samples 0",)),
@@ -413,8 +413,9 @@ def test_a_two_gigabyte_file_needs_little_memory(numbers: np.ndarray, model: Pat
             file.truncate(2 * 10**9)
     (tmp_path / "fine.txt").write_bytes(head["a.txt"])
     script = """
-import resource, sys
+import resource
 from kinecast.cli import main
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 for command in (
     "info a.txt", "info a.parquet", "evaluate --test fine.txt --model a.npz --out out",
     "train fine.txt --scene a.yaml --out b.npz",
@@ -426,10 +427,10 @@ for command in (
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
-    *codes, megabytes = done.stdout.split()
+    before, *codes, after = done.stdout.split()
     assert codes == ["2"] * 4
     assert [line.split()[1].rstrip(":") for line in done.stderr.splitlines()] == list(head)
-    assert int(megabytes) < 500
+    assert int(after) - int(before) < 200  # megabytes
     assert sorted(path.name for path in tmp_path.iterdir()) == [*sorted(head), "fine.txt"]
 
 

@@ -23,7 +23,7 @@ from kinecast.types import Status
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-QUICK = ("--stride", 20, "--repeats", 2, "--samples", 60)
+QUICK = ("--stride", 25, "--repeats", 2, "--samples", 40)
 
 LEVELS = {"0.5", "0.8", "0.9", "0.95", "0.99"}
 
@@ -76,13 +76,13 @@ class TestInfo:
         first, second = outcome.out.split("\n\n")
         assert first.startswith("synthetic/pick_and_place/0-0: ")
         assert second.startswith("synthetic/pick_and_place/1-0: ")
-        assert "210 frames, 7.0 s at 30 Hz" in first
+        assert "150 frames, 5.0 s at 30 Hz" in first
         assert re.search(r"left_forearm: \d{3} mm", first)
         assert "labels: " in first
 
     def test_as_json(self, kinecast: Kinecast, tables: tuple[Path, Path]) -> None:
         (summary,) = json.loads(kinecast("info", tables[0], "--json").out)
-        assert summary["frames"] == 210
+        assert summary["frames"] == 150
         assert set(ARM_JOINTS) <= set(summary["joint_names"])
         assert 0.2 < summary["bones"]["left_forearm"]["median"] < 0.3
 
@@ -147,12 +147,12 @@ class TestEvaluate:
         assert set(metrics["ground_truth_violations"]) == {"position", "speed", "scene"}
         settings = metrics["settings"]
         assert (settings["rate"], settings["window"], settings["horizon"]) == (30.0, 0.2, 0.5)
-        assert (settings["stride"], settings["seed"], settings["label"]) == (20, 0, None)
+        assert (settings["stride"], settings["seed"], settings["label"]) == (25, 0, None)
         assert settings["scene"] == "generated_table.yaml"
         assert settings["train"] == ["synthetic/pick_and_place/0-0"]
         assert settings["test"] == ["synthetic/pick_and_place/1-0"]
         (name,) = metrics["methods"]
-        assert name == "ridge_constrained"
+        assert name == "kalman_constrained"
         method = metrics["methods"][name]
         for key in ("mpjpe_mm", "mpjpe_mm_stderr", "moving_mpjpe_mm", "wrist_final_mm", "nll", "kde_nll", "crps_mm"):
             assert isinstance(method[key], float), key
@@ -171,12 +171,12 @@ class TestEvaluate:
         assert recording["mpjpe_mm"] == pytest.approx(method["mpjpe_mm"])
 
     def test_a_constrained_method_keeps_every_limit(self, evaluation: Path) -> None:
-        method = json.loads((evaluation / "metrics.json").read_text())["methods"]["ridge_constrained"]
+        method = json.loads((evaluation / "metrics.json").read_text())["methods"]["kalman_constrained"]
         assert method["violations"] == {"position": 0.0, "speed": 0.0, "scene": 0.0}
 
     def test_the_report_needs_nothing_else(self, evaluation: Path) -> None:
         page = (evaluation / "report.html").read_text()
-        assert "ridge_constrained" in page
+        assert "kalman_constrained" in page
         assert "<script" not in page
         assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
         assert not re.findall(r"url\((?!#)|@import", page)
@@ -190,7 +190,7 @@ class TestEvaluate:
         outcome = kinecast("evaluate", "--model", model, "--test", tables[1], "--out", out, *QUICK)
         assert outcome.code == 0
         assert "MPJPE" in outcome.out
-        assert re.search(r"^ ridge_constrained +\d+\.\d ± \d+\.\d ", outcome.out, re.MULTILINE)
+        assert re.search(r"^ kalman_constrained +\d+\.\d ± \d+\.\d ", outcome.out, re.MULTILINE)
         assert outcome.out.endswith(f"\nreport: {out / 'report.html'}\n")
         assert outcome.err == ""
 
@@ -199,15 +199,15 @@ class TestEvaluate:
         self, kinecast: Kinecast, tables: tuple[Path, Path], evaluation: Path, scene_file: Path, tmp_path: Path
     ) -> None:
         common = ("--test", tables[1], "--scene", scene_file, *QUICK)
-        trained = ("evaluate", "--train", tables[0], "--methods", "zero_velocity, ridge_constrained", *common)
+        trained = ("evaluate", "--train", tables[0], "--methods", "zero_velocity, kalman_constrained", *common)
         kinecast(*trained, "--out", tmp_path / "same")
         kinecast(*trained, "--out", tmp_path / "other", "--seed", 1)
         before, same, other = scores(evaluation), scores(tmp_path / "same"), scores(tmp_path / "other")
-        assert list(same["methods"]) == ["zero_velocity", "ridge_constrained"]
-        assert same["methods"]["ridge_constrained"] == before["methods"]["ridge_constrained"]
+        assert list(same["methods"]) == ["zero_velocity", "kalman_constrained"]
+        assert same["methods"]["kalman_constrained"] == before["methods"]["kalman_constrained"]
         assert same["ground_truth_violations"] == before["ground_truth_violations"]
         assert same["settings"] | {"models": before["settings"]["models"]} == before["settings"]
-        crps = [each["methods"]["ridge_constrained"]["crps_mm"] for each in (same, other)]
+        crps = [each["methods"]["kalman_constrained"]["crps_mm"] for each in (same, other)]
         assert crps[0] != crps[1]
         assert crps[0] == pytest.approx(crps[1], rel=0.2)
 
@@ -330,11 +330,11 @@ class TestScenes:
         clips = data_root / "ha4m_features_demo" / "UpSkel"
         kinecast(
             *("evaluate", "--train", clips / "IDU001V001.npy", "--test", clips / "IDU001V002.npy"),
-            *("--methods", "zero_velocity,ridge_constrained", "--label", "screws", "--stride", 20, "--samples", 50),
+            *("--methods", "zero_velocity,kalman_constrained", "--label", "screws", "--stride", 20, "--samples", 50),
             *("--scene", EXAMPLES / "scenes" / "ha4m_table.yaml", "--repeats", 0, "--out", tmp_path / "results"),
         )
         metrics = scores(tmp_path / "results")
         assert metrics["settings"]["label"] == "screws"
         assert metrics["ground_truth_violations"]["scene"] == 0
-        assert metrics["methods"]["ridge_constrained"]["violations"]["scene"] == 0
+        assert metrics["methods"]["kalman_constrained"]["violations"]["scene"] == 0
         assert 0 < metrics["settings"]["windows"] <= 265 / 20 + 1

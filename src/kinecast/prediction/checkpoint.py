@@ -25,9 +25,10 @@ LARGEST = 256 * 2**20
 """Most bytes a model may hold once unpacked."""
 MOST_ARRAYS = 4096
 CARD = "card"
-FIELD_KINDS: dict[str, type | tuple[type, ...]] = {
-    "method": str, "frames": int, "steps": int, "rate": (int, float), "noise": (int, float), "windows": int,
-    "label": str, "seed": int,
+NUMBER = (int, float)
+FIELD_KINDS: dict[str, tuple[type, ...]] = {
+    "method": (str,), "frames": (int,), "steps": (int,), "rate": NUMBER, "noise": NUMBER, "windows": (int,),
+    "label": (str,), "seed": (int,),
 }  # fmt: skip
 """Types of the card's plain entries."""
 
@@ -93,16 +94,14 @@ class ModelCard:
         if not {"method", "frames", "steps", "rate"} <= set(data) <= names:
             raise ModelError(f"{where}: card with entries {sorted(data)}; expected {sorted(names)}")
         try:
+            for name, kinds in FIELD_KINDS.items():
+                _check_kind(name, data.get(name, kinds[0]()), kinds)
             for name in ("joints", "trained_on", "notes"):
                 data[name] = tuple(str(item) for item in data.get(name, ()))
             data["limits"] = _limits_from(data.get("limits", {}))
             card = ModelCard(**data)
-        except (AttributeError, TypeError, ValueError) as error:
+        except (TypeError, ValueError) as error:
             raise ModelError(f"{where}: {error}") from None
-        for name, kinds in FIELD_KINDS.items():
-            value = getattr(card, name)
-            if not isinstance(value, kinds) or isinstance(value, bool):
-                raise ModelError(f"{where}: {name} is {value!r}, of the wrong type")
         if card.joints != ARM_JOINTS:
             raise ModelError(f"{where}: a model of the joints {card.joints}; this kinecast predicts {ARM_JOINTS}")
         if not (2 <= card.frames <= 1000 and 1 <= card.steps <= 1000 and 0 < card.rate <= 1000):
@@ -115,9 +114,26 @@ class ModelCard:
         return card
 
 
-def _limits_from(data: dict[str, Any]) -> JointLimits:
-    angles = {name: AngleLimit(**value) for name, value in data.items() if isinstance(value, dict)}
-    return JointLimits(**angles, wrist_speed=data.get("wrist_speed"))
+def _limits_from(data: Any) -> JointLimits:
+    _check_kind("limits", data, (dict,))
+    angles: dict[str, AngleLimit] = {}
+    for name, limit in data.items():
+        if name == "wrist_speed":
+            continue
+        _check_kind(name, limit, (dict,))
+        for entry, value in limit.items():
+            _check_kind(f"{name}.{entry}", value, NUMBER)
+        angles[name] = AngleLimit(**limit)
+    wrist_speed = data.get("wrist_speed")
+    if wrist_speed is not None:
+        _check_kind("wrist_speed", wrist_speed, NUMBER)
+    return JointLimits(**angles, wrist_speed=wrist_speed)
+
+
+def _check_kind(name: str, value: object, kinds: tuple[type, ...]) -> None:
+    """Raises TypeError for a value of another kind; true and false are no numbers."""
+    if not isinstance(value, kinds) or isinstance(value, bool):
+        raise TypeError(f"{name} is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}")
 
 
 def write_checkpoint(path: Path, card: ModelCard, arrays: dict[str, np.ndarray]) -> None:

@@ -161,7 +161,7 @@ class Predictor:
         if forecast.blocked:
             status = Status.BLOCKED
         delay = now - observation.stamp
-        passed = delay >= self.method.steps * self.method.dt
+        passed = observation.times(self.method.steps)[-1] <= now + 1e-9
         if passed or not -self.method.dt <= delay <= self.options.longest_delay:
             status = Status.LATE
         return self._prediction(frame.person, observation, forecast, status, now)
