@@ -69,8 +69,8 @@ def run(
     """Every method on every frame in turn, the naive stack on a few of them.
 
     Args:
-        recording: whose frames are observed, again from its start where it is too short.
-        count: of frames.
+        recording: whose frames are observed.
+        count: of frames, at least a few more than one window.
         naive_count: frames on which the naive stack is timed too: it takes seconds for each.
         samples: drawn by each.
         out: JSON file; None for the one in benchmarks/results.
@@ -92,6 +92,7 @@ def run(
     busy: dict[str, list[float]] = {name: [] for name in predictors}
     slow: list[float] = []
     seen = list(frames(recording))[:count]
+    also_naive = set(np.linspace(reference.frames + 1, len(seen) - 1, naive_count, dtype=int))
     for k, frame in enumerate(seen):
         for name, predictor in predictors.items():
             begin, worked = time.perf_counter(), time.process_time()
@@ -100,7 +101,7 @@ def run(
                 wall[name].append(time.perf_counter() - begin)
                 busy[name].append(time.process_time() - worked)
         track.add(frame)
-        if k > reference.frames and k * naive_count // len(seen) > (k - 1) * naive_count // len(seen):
+        if k in also_naive:
             observation, _ = track.observation(noise)
             if observation is not None:
                 begin = time.perf_counter()

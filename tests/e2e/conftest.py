@@ -12,7 +12,7 @@ from kinecast.cli import main
 from kinecast.datasets import table
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 
-PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=5.0)
+PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=5.0, jumps=0.0)
 
 
 @dataclass(frozen=True)

@@ -40,4 +40,4 @@ def download(
     bars = Progress(*columns, console=CONSOLE, transient=True, disable=not CONSOLE.is_terminal)
     with without_empty_folders((out / name).absolute()), bars as progress:
         files = fetch(name, out / name, progress, only, url)
-    print(f"{len(files)} files in {out / name}")
+    print(f"{len(files)} file{'s' * (len(files) != 1)} in {out / name}")

@@ -46,7 +46,7 @@ def test_truncated_and_damaged_files_are_refused(tmp_path: Path, name: str, pack
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("a.csv", b""), ("a.gz", gzip.compress(b"")), ("a.xz", lzma.compress(b""))]
+    ("name", "content"), [("a.csv", b""), ("a.gz", gzip.compress(b"", mtime=0)), ("a.xz", lzma.compress(b""))]
 )
 def test_empty_files_are_refused(tmp_path: Path, name: str, content: bytes) -> None:
     with pytest.raises(DatasetError, match=f"{name}: empty file"):
