@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ os.environ.setdefault("LOG_CFG", str(Path(__file__).parent / "logging.yaml"))
 import numpy as np
 from pyswarms.single import GlobalBestPSO
 from scipy.stats import truncnorm
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
@@ -27,7 +29,7 @@ from kinecast.prediction.observation import Observation, TrainingWindows
 LIMITS = JointLimits()
 LOWER, UPPER, SPEED = LIMITS.lower[:4], LIMITS.upper[:4], LIMITS.speed[:4]
 PARTICLES, ITERATIONS = 20, 50
-"""Of a swarm; pyswarms' own examples take 10 to 50 and 100 to 1000."""
+"""Of the swarm in an online step: as few as come near at all."""
 SIDES = (1.0, -1.0)
 
 
@@ -42,26 +44,33 @@ def arm(theta: np.ndarray, upper: float, fore: float, side: float) -> tuple[np.n
     return upper * u, upper * u + fore * f
 
 
-def swarm_angles(elbow: np.ndarray, wrist: np.ndarray, side: float) -> np.ndarray:
+def swarm_angles(
+    elbow: np.ndarray, wrist: np.ndarray, side: float, particles: int = PARTICLES, iterations: int = ITERATIONS
+) -> np.ndarray:
     """Inverse kinematics by particle swarm, as the paper has it."""
     upper, fore = float(np.linalg.norm(elbow)), float(np.linalg.norm(wrist - elbow))
 
-    def cost(particles: np.ndarray) -> np.ndarray:
-        elbows, wrists = arm(particles, upper, fore, side)
+    def cost(theta: np.ndarray) -> np.ndarray:
+        elbows, wrists = arm(theta, upper, fore, side)
         return np.linalg.norm(elbows - elbow, axis=1) + np.linalg.norm(wrists - wrist, axis=1)
 
-    swarm = GlobalBestPSO(PARTICLES, 4, {"c1": 1.5, "c2": 1.5, "w": 0.7}, bounds=(LOWER, UPPER))
-    return np.asarray(swarm.optimize(cost, ITERATIONS, verbose=False)[1])
+    swarm = GlobalBestPSO(particles, 4, {"c1": 1.5, "c2": 1.5, "w": 0.7}, bounds=(LOWER, UPPER))
+    return np.asarray(swarm.optimize(cost, iterations, verbose=False)[1])
 
 
 class NaiveConstrained:
     """`gp_constrained` with off-the-shelf parts: a Gaussian process per angle and arm, truncated normals, swarm IK.
 
+    Args:
+        windows: to train on.
+        points: of the windows each exact process keeps; the sparse ones are trained on 2000 and keep 32 of their own.
+        seed: of their choice.
+
     Attributes:
         seconds: spent in each part, over all steps so far.
     """
 
-    def __init__(self, windows: TrainingWindows, points: int = 300, seed: int = 0) -> None:
+    def __init__(self, windows: TrainingWindows, points: int = 500, seed: int = 0) -> None:
         rows = np.random.default_rng(seed).permutation(len(windows))[:points]
         both = np.concatenate([windows.points, windows.future_points[:, :1]], axis=1)[rows]
         postures = postures_from_points(both)
@@ -69,7 +78,10 @@ class NaiveConstrained:
         self.models = []
         for place in ANGLES:
             model = GaussianProcessRegressor(RBF(np.full(frames, 1.0)) + WhiteKernel(1e-3), normalize_y=True)
-            self.models.append(model.fit(postures[:, :frames, place], postures[:, frames, place]))
+            with warnings.catch_warnings():
+                # A lag that says nothing sends its lengthscale to the end of its range.
+                warnings.simplefilter("ignore", ConvergenceWarning)
+                self.models.append(model.fit(postures[:, :frames, place], postures[:, frames, place]))
         self.seconds: dict[str, float] = {}
 
     @contextmanager

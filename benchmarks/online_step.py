@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,33 +61,39 @@ def main() -> None:
         load(arguments.data) if arguments.data else generate(SyntheticOptions(subjects=1, recordings=1), seed=0)
     )
     recording = max(recordings, key=lambda each: len(each.stamps))
-    run(recording, arguments.frames, arguments.naive_frames, arguments.samples, arguments.out)
+    before = facts()
+    result = run(recording, arguments.frames, arguments.naive_frames, arguments.samples)
+    save("online_step", {**result, "start_up_s": start_up()}, arguments.out, before)
+    report(result)
 
 
 def run(
-    recording: Recording, count: int, naive_count: int, samples: int, out: Path | None, trained: Sequence[str] = TRAINED
-) -> dict[str, dict[str, float]]:
+    recording: Recording,
+    count: int,
+    naive_count: int,
+    samples: int,
+    naive_points: int = 500,
+    trained: Sequence[str] = TRAINED,
+) -> dict[str, Any]:
     """Every method on every frame in turn, the naive stack on a few of them.
 
     Args:
         recording: whose frames are observed.
-        count: of frames, at least a few more than one window.
+        count: of frames, more than one window.
         naive_count: frames on which the naive stack is timed too: it takes seconds for each.
         samples: drawn by each.
-        out: JSON file; None for the one in benchmarks/results.
+        naive_points: windows the naive stack is trained on.
         trained: methods to train, beside the shipped ones.
 
     Returns:
-        Milliseconds by method: the table that is printed.
+        What is written: milliseconds by method, and how much longer the naive stack takes.
     """
-    before = facts()
     windows = training_windows([recording], WindowOptions())
-    scene = surroundings(recording)
     noise, methods = contestants(windows, trained)
-    options = PredictorOptions(samples=samples)
+    scene, options = surroundings(recording), PredictorOptions(samples=samples)
     predictors = {name: Predictor(method, noise, scene, options) for name, method in methods.items()}
     reference = methods["gp_constrained"]
-    naive = NaiveConstrained(windows)
+    naive = NaiveConstrained(windows, naive_points)
     track = Track(reference.dt, reference.frames, np.random.default_rng(0))
     wall: dict[str, list[float]] = {name: [] for name in predictors}
     busy: dict[str, list[float]] = {name: [] for name in predictors}
@@ -101,27 +108,20 @@ def run(
                 wall[name].append(time.perf_counter() - begin)
                 busy[name].append(time.process_time() - worked)
         track.add(frame)
-        if k in also_naive:
-            observation, _ = track.observation(noise)
-            if observation is not None:
-                begin = time.perf_counter()
-                naive.step(observation, reference.steps, samples)
-                slow.append(time.perf_counter() - begin)
-    table = {
-        name: {**milliseconds(wall[name]), "cpu_p50_ms": 1e3 * float(np.median(busy[name]))} for name in predictors
-    }
-    ratio = float(np.median(slow) / np.median(wall["gp_constrained"]))
-    result = {
+        observation, _ = track.observation(noise)
+        if k in also_naive and observation is not None:
+            begin = time.perf_counter()
+            naive.step(observation, reference.steps, samples)
+            slow.append(time.perf_counter() - begin)
+    return {
         "recording": recording.name,
         "samples": samples,
-        "steps": table,
+        "steps": {
+            name: {**milliseconds(wall[name]), "cpu_p50_ms": 1e3 * float(np.median(busy[name]))} for name in predictors
+        },
         "naive": {**milliseconds(slow), "share": {part: s / sum(slow) for part, s in naive.seconds.items()}},
-        "naive_over_gp_constrained": ratio,
-        "start_up_s": start_up(),
+        "naive_over_gp_constrained": float(np.median(slow) / np.median(wall["gp_constrained"])),
     }
-    save("online_step", result, out, before)
-    report(table, milliseconds(slow), ratio)
-    return table
 
 
 def contestants(windows: TrainingWindows, trained: Sequence[str]) -> tuple[float, dict[str, Method]]:
@@ -153,13 +153,13 @@ def start_up() -> dict[str, float]:
     return {"import": imported, "first_prediction": ready}
 
 
-def report(table: Mapping[str, Mapping[str, float]], naive: Mapping[str, float], ratio: float) -> None:
+def report(result: Mapping[str, Any]) -> None:
     """Prints the table."""
     print(f"{'method':20}{'least ms':>10}{'p50 ms':>10}{'p99 ms':>10}{'CPU p50':>10}{'frames':>8}")
-    for name, row in {**table, "naive stack": {**naive, "cpu_p50_ms": np.nan}}.items():
+    for name, row in {**result["steps"], "naive stack": {"cpu_p50_ms": np.nan, **result["naive"]}}.items():
         figures = "".join(f"{row[key]:10.1f}" for key in ("least_ms", "p50_ms", "p99_ms", "cpu_p50_ms"))
         print(f"{name:20}{figures}{row['count']:8.0f}")
-    print(f"gp_constrained is {ratio:.0f} times as fast as the naive stack")
+    print(f"gp_constrained is {result['naive_over_gp_constrained']:.0f} times as fast as the naive stack")
 
 
 if __name__ == "__main__":

@@ -82,4 +82,4 @@ def test_what_is_downloaded_can_be_used(
     (root / name).write_bytes(gzip.decompress((data_root / "human_assembly_data" / f"{name}.gz").read_bytes()))
     out = tmp_path / "recordings"
     assert kinecast("download", "human-assembly-data", "--only", name, "--url", url, "--out", out).code == 0
-    assert kinecast("info", out).out.startswith("trial1: lego, 925 frames")
+    assert kinecast("info", out).out.startswith("Task1/Human1/trial1: lego, 925 frames")

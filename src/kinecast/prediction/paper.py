@@ -90,7 +90,9 @@ class PositionSeries:
         """See kinecast.prediction.forecast.Method; the scene is disregarded."""
         del scene
         window = observation.positions.reshape(self.frames, 18)
-        offsets = normals(rng, samples, 18) * np.repeat(observation.noise, 3)
+        offsets = np.zeros((samples, 18))
+        if observation.noise.any():
+            offsets = normals(rng, samples, 18) * np.repeat(observation.noise, 3)
         positions, means, spreads = roll_positions(window, offsets, self.stack, normals(rng, samples, self.steps, 18))
         points = positions.reshape(samples, self.steps, 6, 3)
         mean = points.mean(axis=0)
@@ -155,7 +157,9 @@ class PostureSeries:
     ) -> Forecast:
         """See kinecast.prediction.forecast.Method."""
         track = postures_from_points(observation.points, continuous=True)
-        offsets = normals(rng, samples, 18) * coordinate_noise(track[-1], observation.noise)
+        offsets = np.zeros((samples, 18))
+        if observation.noise.any():
+            offsets = normals(rng, samples, 18) * coordinate_noise(track[-1], observation.noise)
         lower, upper, speed, wrist_speed = posture_bounds(self.limits)
         postures, means, spreads = roll_series(
             coordinates_from_postures(track), offsets, self.stack, self.length_spread, track[-1],

@@ -1,0 +1,73 @@
+"""Both benchmarks run, in a tiny setting, and say what they should."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("sklearn", reason="the naive stack needs scikit-learn: pip install 'kinecast[bench]'")
+pytest.importorskip("pyswarms", reason="the naive stack needs pyswarms: pip install 'kinecast[bench]'")
+pytest.importorskip("benchmarks", reason="benchmarks are found only from the repository: python -m pytest")
+
+from benchmarks import inverse_kinematics, online_step
+from benchmarks.machine import facts, save
+
+from kinecast.datasets.synthetic import SyntheticOptions, generate
+
+
+@pytest.fixture(scope="module")
+def step() -> dict[str, Any]:
+    """A few frames of the online step, a handful of samples."""
+    [recording] = generate(SyntheticOptions(subjects=1, recordings=1, duration=4.0), seed=0)
+    return online_step.run(recording, 12, naive_count=1, samples=20, naive_points=20, trained=("ridge",))
+
+
+def test_every_method_is_timed_on_the_same_frames(step: dict[str, Any]) -> None:
+    counts = {row["count"] for row in step["steps"].values()}
+    assert {"gp_constrained", "gp_angles", "zero_velocity", "ridge"} <= set(step["steps"])
+    assert len(counts) == 1
+    assert counts.pop() > 0
+    for row in step["steps"].values():
+        assert 0 < row["least_ms"] <= row["p50_ms"] <= row["p99_ms"]
+
+
+def test_the_naive_stack_is_slower_and_its_parts_add_up(step: dict[str, Any]) -> None:
+    assert step["naive_over_gp_constrained"] > 1
+    assert set(step["naive"]["share"]) == {
+        "particle swarm", "Gaussian processes", "truncated normals", "forward kinematics",
+    }  # fmt: skip
+    assert 0.5 < sum(step["naive"]["share"].values()) <= 1
+
+
+def test_the_table_names_every_method(step: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    online_step.report(step)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(step["steps"]) + 3
+    assert "naive stack" in lines[-2]
+
+
+def test_closed_form_is_exact_and_the_fastest() -> None:
+    solvers = inverse_kinematics.run(3)["solvers"]
+    exact = solvers["closed form"]
+    assert exact["p99_error_mm"] < 1e-9
+    assert exact["within_1_mm"] == 1
+    assert all(exact["p50_ms"] < row["p50_ms"] for name, row in solvers.items() if name != "closed form")
+    assert solvers["damped least squares"]["within_1_mm"] == 1
+
+
+def test_the_stacks_own_kinematics_are_kinecasts() -> None:
+    theta = np.random.default_rng(0).uniform(inverse_kinematics.LOWER, inverse_kinematics.UPPER, (10, 4))
+    naive = np.stack(inverse_kinematics.arm(theta, 0.3, 0.25, -1.0), axis=1)
+    own = inverse_kinematics.forward_kinematics(theta, np.array([0.3, 0.25]), -1.0)
+    np.testing.assert_allclose(naive, own, atol=1e-15)
+
+
+def test_a_result_is_written_with_the_machines_facts(tmp_path: Path) -> None:
+    save("any", {"figure": 1.0}, tmp_path / "deep" / "any.json", facts())
+    written = json.loads((tmp_path / "deep" / "any.json").read_text())
+    assert written["figure"] == 1.0
+    assert {"cores", "load", "load_before", "numpy", "numba", "pyswarms"} <= set(written["machine"])
