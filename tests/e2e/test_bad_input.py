@@ -438,10 +438,11 @@ def test_ctrl_c_leaves_nothing(tables: tuple[Path, Path], model: Path, tmp_path:
     script = f"""
 import os, signal, threading
 from kinecast.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C
 threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT)).start()
 main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --samples 5000 --out out".split())
 """
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "kinecast: interrupted\n")
     assert list(tmp_path.iterdir()) == []
 

@@ -45,7 +45,7 @@ def shipped() -> PostureSeries:
     """The paper's method, as it comes with kinecast, over fewer steps."""
     method = shipped_methods()[1]["gp_constrained"]
     assert isinstance(method, PostureSeries)
-    return replace(method, steps=STEPS)
+    return replace(method, steps=STEPS, length_spread=method.length_spread[:STEPS])
 
 
 def wild(spread: float, limits: JointLimits) -> PostureGaussian:
@@ -84,9 +84,7 @@ def joint_limits(numbers: Numbers) -> JointLimits:
     for k, (low, high) in enumerate(USUAL_RANGE):
         a, b, c = numbers[3 * k : 3 * k + 3]
         lower = low + a * (high - low - 0.1)
-        angles.append(
-            AngleLimit(lower, lower + 0.05 + b * (high - lower - 0.05), (0.3, 3.0, 12.0)[int(2.9 * c)])
-        )
+        angles.append(AngleLimit(lower, lower + 0.05 + b * (high - lower - 0.05), (0.3, 3.0, 12.0)[int(2.9 * c)]))
     return JointLimits(*angles, wrist_speed=(None, 0.2, 1.5)[int(2.9 * numbers[12])])
 
 
@@ -129,14 +127,14 @@ def assert_nothing_violated(
 every = given(seen=drawn(22), held=drawn(13), scene=drawn(13))
 
 
-@settings(max_examples=25)
+@settings(max_examples=40, deadline=None)
 @every
 def test_kalman_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> None:
     limits, observation = joint_limits(held), window(seen)
     assert_nothing_violated(replace(fitted(), limits=limits), observation, limits, obstacles(scene, observation))
 
 
-@settings(max_examples=25)
+@settings(max_examples=40, deadline=None)
 @every
 def test_gp_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> None:
     limits, observation = joint_limits(held), window(seen)
@@ -144,7 +142,7 @@ def test_gp_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> None:
 
 
 @pytest.mark.parametrize("spread", [1e-6, 0.05, 1.0])
-@settings(max_examples=10)
+@settings(max_examples=20, deadline=None)
 @every
 def test_wild_gaussians(spread: float, seen: Numbers, held: Numbers, scene: Numbers) -> None:
     limits, observation = joint_limits(held), window(seen)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-pytest.importorskip("sklearn", reason="the naive stack needs scikit-learn: pip install 'kinecast[bench]'")
-pytest.importorskip("pyswarms", reason="the naive stack needs pyswarms: pip install 'kinecast[bench]'")
-pytest.importorskip("benchmarks", reason="benchmarks are found only from the repository: python -m pytest")
+# ruff: noqa: E402 - what may be missing is looked for first
+# Looked for, not imported: pyswarms opens a log file on import unless benchmarks.naive comes first.
+for name, where in (("sklearn", "kinecast[bench]"), ("pyswarms", "kinecast[bench]"), ("benchmarks", "the repository")):
+    if find_spec(name) is None:
+        pytest.skip(f"no {name}: it comes with {where}", allow_module_level=True)
 
 from benchmarks import inverse_kinematics, online_step
 from benchmarks.machine import facts, save

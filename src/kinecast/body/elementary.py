@@ -36,7 +36,6 @@ A0, A1, A2, A3, A4, A5, A6, A7, A8, A9, A10 = (
 
 LOG_2 = math.log(2.0)
 SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
-MANTISSA = (1 << 52) - 1
 EXPONENT_OF_2_52 = 0x433 << 52
 
 

@@ -146,7 +146,7 @@ class _Shoulders:
         self.up = _cross(self.forward, self.leftward)
 
 
-def _cross(a: Float[np.ndarray, "N 3"], b: Float[np.ndarray, "*#N 3"]) -> Float[np.ndarray, "N 3"]:
+def _cross(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*#batch 3"]) -> Float[np.ndarray, "*batch 3"]:
     """a × b row by row; np.cross takes several times as long for a single one."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 

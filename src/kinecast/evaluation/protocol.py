@@ -135,9 +135,12 @@ def evaluate(
             scores.seconds.append(seconds + time.perf_counter() - started)
             _score(scores, forecast, observation, truth, scene, options)
             if row in repeated:
-                fresh = [np.random.default_rng([options.seed, k, row]) for k in range(options.repeats)]
-                drawn = [forecast_with(method, memory, observation, each, options.samples, scene) for each in fresh]
-                repeats.append([_averages(-each.density.log_prob(truth)[None])[0] / NLL_JOINTS for each in drawn])
+                again_nll = np.empty(options.repeats)
+                for k in range(options.repeats):
+                    fresh = np.random.default_rng([options.seed, k, row])
+                    forecast = forecast_with(method, memory, observation, fresh, options.samples, scene)
+                    again_nll[k] = _averages(-forecast.density.log_prob(truth)[None])[0] / NLL_JOINTS
+                repeats.append(again_nll)
             done += 1
             if progress:
                 progress(done, total)
