@@ -123,9 +123,8 @@ def test_with_a_scene_the_density_is_that_of_what_is_free_at_each_step(
     allowed = ball.free(free, seen.times(STEPS))
     held = method.forecast(seen, np.random.default_rng(5), 4000, ball)
     unheld = replace(method, limits=None).forecast(seen, np.random.default_rng(5), 4000)
-    ratio = held.density.log_prob(free[np.flatnonzero(allowed.all(axis=1))[0]]) - unheld.density.log_prob(
-        free[np.flatnonzero(allowed.all(axis=1))[0]]
-    )
+    pose = free[np.flatnonzero(allowed.all(axis=1))[0]]
+    ratio = held.density.log_prob(pose) - unheld.density.log_prob(pose)
     share = allowed.mean(axis=0)
     assert 0.2 < share[-1] < 0.95
     error = np.sqrt((1 - share) / share * (1 / COUNT + 1 / 4000))
