@@ -100,7 +100,8 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, out: np.ndarray)
     for axis in range(3):
         out[axis] = 0.5 * (points[0, axis] + points[3, axis])
     out[3] = yaw
-    out[4] = math.atan2(d[2], level)
+    # A width whose square underflows is none: no roll either.
+    out[4] = math.atan2(d[2], level) if width > 0.0 else 0.0 * width
     out[5] = width
     sr, cr = (d[2] / width, level / width) if width > 0.0 else (0.0, 1.0)
 
