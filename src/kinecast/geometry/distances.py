@@ -231,6 +231,10 @@ def scene_distances(rows: np.ndarray, points: np.ndarray) -> np.ndarray:
     return distances
 
 
+BLOCK = 16
+"""Samples tested together: their arms stay in the first-level cache."""
+
+
 @njit(cache=True, parallel=True)
 @no_type_check
 def arms_are_free(rows: np.ndarray, arms: np.ndarray, radius: float) -> np.ndarray:
@@ -240,14 +244,20 @@ def arms_are_free(rows: np.ndarray, arms: np.ndarray, radius: float) -> np.ndarr
     """
     samples, times = arms.shape[:2]
     free = np.empty((samples, times), dtype=np.bool_)
-    for t in prange(times):
-        for s in range(samples):
-            free[s, t] = not np.isnan(np.sum(arms[s, t]))
-        for o in range(rows.shape[1]):
-            row = to_fixed_tuple(rows[t, o], ROW)  # in registers, for all samples
-            for s in range(samples):
-                if free[s, t]:
-                    free[s, t] = _arm_is_free(row, arms, s, t, 0, radius) and _arm_is_free(row, arms, s, t, 3, radius)
+    for block in prange((samples + BLOCK - 1) // BLOCK):
+        first, last = block * BLOCK, min(block * BLOCK + BLOCK, samples)
+        for t in range(times):
+            for s in range(first, last):
+                known = 0.0
+                for j in range(6):
+                    known += arms[s, t, j, 0] + arms[s, t, j, 1] + arms[s, t, j, 2]
+                free[s, t] = not math.isnan(known)
+            for o in range(rows.shape[1]):
+                row = to_fixed_tuple(rows[t, o], ROW)  # in registers, for all samples of the block
+                for s in range(first, last):
+                    if free[s, t]:
+                        left = _arm_is_free(row, arms, s, t, 0, radius)
+                        free[s, t] = left and _arm_is_free(row, arms, s, t, 3, radius)
     return free
 
 

@@ -72,7 +72,7 @@ class TrainingOptions:
 
     limits: JointLimits = field(default_factory=JointLimits)
     seed: int = 0
-    pseudo_inputs: int = 32
+    pseudo_inputs: int = 16
     points: int = 2000
     iterations: int = 100
 

@@ -27,6 +27,8 @@ __all__ = ["Predictor", "PredictorOptions"]
 
 UNFAMILIAR_SHARE = 0.1
 """Weight of the learned experts below which the status says that they have given way."""
+AT_REST = 0.1
+"""Whose joints all move slower than this [m/s] is best predicted to stay, and that is nothing unfamiliar."""
 HAND_SPEED = 2.0
 """Fastest approach of a hand [m/s] (ISO 13855:2010, clause 5): bounds what is said before anything is known."""
 
@@ -155,7 +157,8 @@ class Predictor:
         forecast = forecast_with(self.method, memory, observation, track.rng, self.options.samples, self.scene)
         if not np.isfinite(forecast.samples).all():
             return self._fault(frame)
-        if taken is Status.OK and forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE:
+        given_way = forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE
+        if taken is Status.OK and given_way and _speed(observation) > AT_REST:
             taken = Status.UNFAMILIAR
         status = trouble if trouble is not Status.OK else taken
         if forecast.blocked:
@@ -277,6 +280,12 @@ def _at_most(threads: int) -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(before)
+
+
+def _speed(observation: Observation) -> float:
+    """Mean speed over the window of the joint that went farthest [m/s]."""
+    way = np.linalg.norm(observation.positions[-1] - observation.positions[0], axis=-1)
+    return float(way.max()) / (observation.dt * (len(observation.positions) - 1))
 
 
 def _ahead(times: Float[np.ndarray, " T"], now: float) -> Bool[np.ndarray, " T"]:

@@ -8,6 +8,7 @@ is multiplied by it again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,7 @@ BASIS = 6
 """Functions of time that a displacement is made of."""
 
 
+@cache
 def time_basis(steps: int) -> Float[np.ndarray, "T K"]:
     """(T, K) orthonormal polynomials of time that are zero now."""
     t = np.arange(1.0, steps + 1) / steps

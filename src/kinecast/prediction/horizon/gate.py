@@ -8,6 +8,7 @@ recording unlike anything trained on, what is simple and right takes over.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -42,6 +43,7 @@ JOINT_TYPE = np.array([0, 1, 2, 0, 1, 2])
 """Shoulder, elbow, wrist: left and right share what is learned."""
 
 
+@cache
 def trivial_experts(frames: int, steps: int) -> Float[np.ndarray, "E T N"]:
     """(E, T, N) weights over the window of each trivial expert's prediction: last + velocity · τ(1 − exp(−t/τ))."""
     time = np.arange(frames) - (frames - 1.0)
@@ -55,6 +57,7 @@ def trivial_experts(frames: int, steps: int) -> Float[np.ndarray, "E T N"]:
     return weights
 
 
+@cache
 def step_basis(steps: int) -> Float[np.ndarray, "T 3"]:
     """(T, 3) constant, slope and curve over the steps: how what is learned varies with them."""
     centre = (np.arange(1.0, steps + 1) - 0.5 * (steps + 1)) / max(0.5 * (steps - 1), 1.0)

@@ -19,6 +19,7 @@ from kinecast.body.limits import JointLimits
 from kinecast.body.posture import postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.allowance import Allowance
+from kinecast.prediction.draws import normals
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
 from kinecast.prediction.gaussian import posture_bounds
 from kinecast.prediction.horizon.calibration import LEVEL, AdaptiveScale
@@ -258,15 +259,15 @@ class Horizon:
             shared.reshape(self.steps, 18, 18)[:, np.arange(18), np.arange(18)] = np.repeat(observation.noise, 3)
             factor = np.concatenate([factor, shared], axis=-1)
         mean = observation.to_torso(means.mean)
-        draws = rng.standard_normal((samples, factor.shape[-1]))
-        draws *= common_factors(self.spread.weights, samples, rng)[:, None]
+        draws = normals(rng, factor.shape[-1], samples)
+        draws *= common_factors(self.spread.weights, samples, rng)
         initial = postures_from_points(observation.points, continuous=True)[-1]
         centre = postures_from_points(mean, initial, continuous=True)
         motions = draw_motions(
             mean,
             factor,
             draws,
-            rng.random((samples, self.steps, 8)),
+            int(rng.integers(2**63)),
             centre,
             _posture_spread(centre, np.sqrt((factor**2).sum(axis=-1).mean(axis=-1))),
             initial,
@@ -277,27 +278,26 @@ class Horizon:
         allowance = None
         if self.limits is not None:
             allowance = Allowance(
-                lambda: mean + np.tensordot(draws, factor, axes=(1, 3)),
+                lambda: mean + np.tensordot(draws, factor, axes=(0, 3)),
                 observation,
                 initial,
                 self.limits,
                 scene,
                 self.noise,
             )
-        # The samples' own mean is noisy; only what the constraints moved is taken from it.
-        unmoved = observation.to_world(mean + factor @ draws.mean(axis=0))
         forecast = Forecast(
             motions,
-            means.mean + (motions.mean(axis=0) - unmoved),
+            motions.mean(axis=0),
             WorldDensity(observation, ScaleMixtureDensity(mean, factor, self.spread.weights, allowance)),
             np.ones(self.steps),
             samples,
             {"learned_share": means.learned},
         )
-        if self.limits is None or scene is None:
-            return forecast
-        kept = within_scene(forecast, observation, rng, scene)
-        return replace(kept, mean=means.mean + (kept.samples.mean(axis=0) - unmoved))
+        if self.limits is not None and scene is not None:
+            forecast = within_scene(forecast, observation, rng, scene)
+        # The samples' own mean is noisy; only what the constraints moved is taken from it.
+        unmoved = observation.to_world(mean + factor @ draws.mean(axis=1))
+        return replace(forecast, mean=means.mean + (forecast.mean - unmoved))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""

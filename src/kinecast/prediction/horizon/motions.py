@@ -1,37 +1,49 @@
-"""Whole motions drawn from the spread and moved inside joint limits: one pass over the samples."""
+"""Whole motions drawn from the spread and moved inside joint limits: one pass over the samples.
+
+Samples go side by side in lanes, as in kinecast.prediction.lanes: a loop without branches takes a block of them to arm
+angles, and finds out which lie inside their bounds. Only what lies outside is drawn anew, one by one. All that a block
+works on is one flat array with rows at places known to the compiler, which then sees that no row overlaps another.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-from kinecast.body.arm_angles import nearest_turn
+from kinecast.body.arm_angles import FAR, OUTSIDE_WEIGHT, UNDEFINED, USUAL_RANGE, nearest_turn
+from kinecast.body.elementary import arctangent, sine_cosine
 from kinecast.body.limits import bounds, speeds_within_wrist_speed
 from kinecast.body.posture import points_of_posture, posture_of_points
+from kinecast.prediction.draws import hashed_uniform
 from kinecast.prediction.truncated_normal import sample
 
 __all__ = ["draw_motions"]
 
+LANES = 64
+STRIP = 6
+"""Columns of the factor taken in one go."""
+ROWS = 92
+POINTS, BEFORE, TORSO, ANGLES, SURE, HELD, MOVED, LENGTHS, WORLD = (
+    LANES * row for row in (0, 18, 36, 40, 48, 49, 51, 53, 57)
+)
+"""Places in a block's work: six points; posture one step before; sine and cosine of yaw and roll; eight angles; whether
+they are certain, and for each arm whether it keeps its bounds and whether it was moved; lengths of upper arm and
+forearm, left and right; six points in the world."""
+USUAL = tuple((0.5 * (least + most), 0.5 * (most - least)) for least, most in USUAL_RANGE[:3])
+"""Middle and half the width of each angle's usual range [rad]."""
+ARM_POINTS, ARM_POSTURE, ARM_ANGLES, ARM_LENGTHS = 9 * LANES, 6 * LANES, 4 * LANES, 2 * LANES
+"""From what belongs to the left arm to what belongs to the right."""
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
-@no_type_check
-def _dot(a, b):
-    total = 0.0
-    for k in range(len(a)):
-        total += a[k] * b[k]
-    return total
 
-
-@njit(cache=True, parallel=True)
-@no_type_check
 def draw_motions(
     mean: Float[np.ndarray, "T 6 3"],
     factor: Float[np.ndarray, "T 6 3 R"],
-    draws: Float[np.ndarray, "S R"],
-    uniforms: Float[np.ndarray, "S T 8"],
+    draws: Float[np.ndarray, "R S"],
+    seed: int,
     centre: Float[np.ndarray, "T 18"],
     spread: Float[np.ndarray, "T 18"],
     initial: Float[np.ndarray, "18"],
@@ -52,8 +64,8 @@ def draw_motions(
     Args:
         mean: (T, 6, 3) in the torso frame [m].
         factor: (T, 6, 3, R) of the covariance [m].
-        draws: (S, R) of the factor's coordinates.
-        uniforms: (S, T, 8) uniform draws for θ1..θ4, left then right.
+        draws: (R, S) of the factor's coordinates.
+        seed: of the numbers by which angles are drawn anew, 0 … 2^63.
         centre: (T, 18) posture of the mean motion.
         spread: (T, 18) spread of each angle about it [rad].
         initial: (18,) last observed posture.
@@ -66,37 +78,332 @@ def draw_motions(
     Returns:
         (S, T, 6, 3) positions in the world [m].
     """
-    samples, steps = len(draws), len(mean)
+    steps = len(mean)
+    bounded = bool(np.isfinite(speed).any() or np.isfinite(lower).any() or np.isfinite(upper).any())
+    padding = -len(draws) % STRIP
+    return _motions(
+        mean.reshape(steps, 18),
+        np.pad(factor.reshape(18 * steps, -1), ((0, 0), (0, padding))),
+        np.pad(draws, ((0, padding), (0, 0))),
+        bounded,
+        np.uint64(seed),
+        centre,
+        spread,
+        initial,
+        lower,
+        upper,
+        speed,
+        wrist_speed,
+        dt,
+        rotation,
+        origin,
+    )
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def _motions(
+    mean: Float[np.ndarray, "T 18"],
+    factor: Float[np.ndarray, "18*T R"],
+    draws: Float[np.ndarray, "R S"],
+    bounded: bool,
+    seed: np.uint64,
+    centre: Float[np.ndarray, "T 18"],
+    spread: Float[np.ndarray, "T 18"],
+    initial: Float[np.ndarray, "18"],
+    lower: Float[np.ndarray, "18"],
+    upper: Float[np.ndarray, "18"],
+    speed: Float[np.ndarray, "18"],
+    wrist_speed: float,
+    dt: float,
+    rotation: Float[np.ndarray, "3 3"],
+    origin: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "S T 6 3"]:
+    steps, samples = len(mean), draws.shape[1]
     motions = np.empty((samples, steps, 6, 3))
-    for s in prange(samples):
-        before = initial.copy()
-        now = np.empty(18)
-        ceiling = np.empty(18)
-        points = np.empty((6, 3))
+    # A limit on the wrist's speed makes that of the angles depend on the pose: every one is then looked at alone.
+    certain = 1.0 if math.isinf(wrist_speed) else 0.0
+    for block in prange((samples + LANES - 1) // LANES):
+        first = block * LANES
+        count = min(LANES, samples - first)
+        drawn, strayed = np.zeros(len(draws) * LANES), np.empty(18 * steps * LANES)
+        for r in range(len(draws)):
+            drawn[r * LANES : r * LANES + count] = draws[r, first : first + count]
+        _stray(factor, drawn, strayed)
+        work = np.zeros(ROWS * LANES)
+        posture, pose, ceiling = np.empty((2, 18)), np.empty((6, 3)), np.empty(18)
+        for d in range(18):
+            work[BEFORE + d * LANES : BEFORE + (d + 1) * LANES] = initial[d]
         for t in range(steps):
-            for j in range(6):
-                for d in range(3):
-                    points[j, d] = mean[t, j, d] + _dot(factor[t, j, d], draws[s])
-            posture_of_points(points, before, now)
-            speeds_within_wrist_speed(before, speed, wrist_speed, ceiling)
-            broken = False
-            for arm in range(2):
-                for part in range(4):
-                    k = 6 + 6 * arm + part
-                    lb, ub = bounds(lower[k], upper[k], ceiling[k], before[k], dt)
-                    if not lb <= now[k] <= ub:
-                        about = centre[t, k] if part == 3 else nearest_turn(centre[t, k], before[k])
-                        now[k] = sample(uniforms[s, t, 4 * arm + part], about, spread[t, k], lb, ub)
-                        broken = True
-            if broken:
-                points_of_posture(now, points)
-            before[:] = now
-            for j in range(6):
-                for d in range(3):
-                    motions[s, t, j, d] = (
-                        origin[d]
-                        + rotation[d, 0] * points[j, 0]
-                        + rotation[d, 1] * points[j, 1]
-                        + rotation[d, 2] * points[j, 2]
-                    )
+            for d in range(18):
+                k = 18 * t + d
+                row = work[POINTS + d * LANES : POINTS + (d + 1) * LANES]
+                row[:] = strayed[k * LANES : (k + 1) * LANES]
+                row += mean[t, d]
+            if bounded:
+                work[SURE : SURE + LANES] = certain
+                _torso(work)
+                _angles(work, 0, 0, 0, 0, 0, 1.0, lower[6:10], upper[6:10], speed[6:10], dt)
+                _angles(
+                    work, ARM_POINTS, ARM_POSTURE, ARM_ANGLES, ARM_LENGTHS, LANES, -1.0,
+                    lower[12:16], upper[12:16], speed[12:16], dt,
+                )  # fmt: skip
+                for lane in range(count):
+                    number = np.uint64(((first + lane) * steps + t) * 8)
+                    if work[SURE + lane] != 1.0:
+                        for d in range(18):
+                            posture[0, d] = work[BEFORE + d * LANES + lane]
+                            pose[d // 3, d % 3] = work[POINTS + d * LANES + lane]
+                        speeds_within_wrist_speed(posture[0], speed, wrist_speed, ceiling)
+                        _moved_inside(pose, posture, seed, number, centre[t], spread[t], lower, upper, ceiling, dt)
+                        work[MOVED + lane] = work[MOVED + LANES + lane] = 0.0
+                        for d in range(18):
+                            work[BEFORE + d * LANES + lane] = posture[1, d]
+                            work[POINTS + d * LANES + lane] = pose[d // 3, d % 3]
+                        for k in range(8):
+                            work[ANGLES + k * LANES + lane] = posture[1, 6 + k + 2 * (k // 4)]
+                        continue
+                    for arm in range(2):
+                        held = work[HELD + arm * LANES + lane]
+                        work[MOVED + arm * LANES + lane] = 1.0 - held
+                        if held != 1.0:
+                            _redrawn(work, lane, arm, seed, number, centre[t], spread[t], lower, upper, speed, dt)
+                if work[MOVED : MOVED + LANES].any():
+                    _placed(work, 0, 0, 0, 0, 1.0)
+                if work[MOVED + LANES : MOVED + 2 * LANES].any():
+                    _placed(work, ARM_POINTS, ARM_ANGLES, ARM_LENGTHS, LANES, -1.0)
+                for k in range(4):
+                    for lane in range(LANES):
+                        work[BEFORE + (6 + k) * LANES + lane] = work[ANGLES + k * LANES + lane]
+                        work[BEFORE + (12 + k) * LANES + lane] = work[ANGLES + (4 + k) * LANES + lane]
+            _into_world(work, rotation, origin)
+            for lane in range(count):
+                for d in range(18):
+                    motions[first + lane, t, d // 3, d % 3] = work[WORLD + d * LANES + lane]
     return motions
+
+
+@njit(cache=True, fastmath={"contract"})
+@no_type_check
+def _stray(factor: Float[np.ndarray, "K R"], drawn: Float[np.ndarray, " D"], strayed: Float[np.ndarray, " W"]) -> None:
+    """strayed = factor · draws of a block. A library's product would start threads of its own in each of ours."""
+    for k in range(0, len(factor), 2):
+        here, there = factor[k], factor[k + 1]
+        out = strayed[k * LANES : (k + 2) * LANES]
+        out[:] = 0.0
+        for r in range(0, len(here), STRIP):
+            f0, f1, f2, f3, f4, f5 = here[r], here[r + 1], here[r + 2], here[r + 3], here[r + 4], here[r + 5]
+            g0, g1, g2, g3, g4, g5 = there[r], there[r + 1], there[r + 2], there[r + 3], there[r + 4], there[r + 5]
+            strip = drawn[r * LANES : (r + STRIP) * LANES]
+            for lane in range(LANES):
+                d0, d1, d2 = strip[lane], strip[LANES + lane], strip[2 * LANES + lane]
+                d3, d4, d5 = strip[3 * LANES + lane], strip[4 * LANES + lane], strip[5 * LANES + lane]
+                f = f0 * d0 + f1 * d1 + f2 * d2 + f3 * d3 + f4 * d4 + f5 * d5
+                g = g0 * d0 + g1 * d1 + g2 * d2 + g3 * d3 + g4 * d4 + g5 * d5
+                out[lane] += f
+                out[LANES + lane] += g
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _torso(work: Float[np.ndarray, " W"]) -> None:
+    """Sine and cosine of the torso's yaw and roll, from the shoulder line; unsure where the shoulders coincide."""
+    right = POINTS + ARM_POINTS
+    for lane in range(LANES):
+        x = work[POINTS + lane] - work[right + lane]
+        y = work[POINTS + LANES + lane] - work[right + LANES + lane]
+        z = work[POINTS + 2 * LANES + lane] - work[right + 2 * LANES + lane]
+        level = math.sqrt(x * x + y * y)
+        width = math.sqrt(x * x + y * y + z * z)
+        work[TORSO + lane], work[TORSO + LANES + lane] = -x / level, y / level
+        work[TORSO + 2 * LANES + lane], work[TORSO + 3 * LANES + lane] = z / width, level / width
+        work[SURE + lane] = work[SURE + lane] if level > UNDEFINED * width else 0.0
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+@no_type_check
+def _angles(
+    work: Float[np.ndarray, " W"],
+    to_points: int,
+    to_posture: int,
+    to_angles: int,
+    to_lengths: int,
+    to_flags: int,
+    side: float,
+    lower: Float[np.ndarray, "4"],
+    upper: Float[np.ndarray, "4"],
+    speed: Float[np.ndarray, "4"],
+    dt: float,
+) -> None:
+    """The angles of one arm (kinecast.body.arm_angles), on the branch that goes on from the step before.
+
+    They are not sure where an angle is undefined.
+    """
+    low1, low2, low3, low4 = lower[0], lower[1], lower[2], lower[3]
+    up1, up2, up3, up4 = upper[0], upper[1], upper[2], upper[3]
+    r1, r2, r3, r4 = speed[0] * dt, speed[1] * dt, speed[2] * dt, speed[3] * dt
+    (middle1, half1), (middle2, half2), (middle3, half3) = USUAL
+    for lane in range(LANES):
+        at = POINTS + to_points + lane
+        sa, ca = work[TORSO + lane], work[TORSO + LANES + lane]
+        sb, cb = work[TORSO + 2 * LANES + lane], work[TORSO + 3 * LANES + lane]
+        x, y, z = work[at + 3 * LANES], work[at + 4 * LANES], work[at + 5 * LANES]
+        fx, fy, fz = work[at + 6 * LANES] - x, work[at + 7 * LANES] - y, work[at + 8 * LANES] - z
+        x, y, z = x - work[at], y - work[at + LANES], z - work[at + 2 * LANES]
+        level = ca * y - sa * x
+        ux, uy, uz = ca * x + sa * y, cb * level + sb * z, cb * z - sb * level
+        level = ca * fy - sa * fx
+        fx, fy, fz = ca * fx + sa * fy, cb * level + sb * fz, cb * fz - sb * level
+
+        bone = math.sqrt(ux * ux + uy * uy + uz * uz)
+        swing = math.sqrt(ux * ux + uz * uz)
+        s2, c2 = side * uy / bone, swing / bone
+        s1, c1 = ux / swing, -uz / swing
+        flexed = fx * s1 - fz * c1
+        along = c2 * flexed + s2 * side * fy
+        ahead = fx * c1 + fz * s1
+        outward = c2 * side * fy - s2 * flexed
+        across = math.sqrt(ahead * ahead + outward * outward)
+
+        at = BEFORE + to_posture + lane
+        p1, p2, p3, p4 = work[at + 6 * LANES], work[at + 7 * LANES], work[at + 8 * LANES], work[at + 9 * LANES]
+        t1, t2, t3, h4 = arctangent(s1, c1), arctangent(s2, c2), arctangent(outward, ahead), arctangent(across, along)
+        h1, h2, h3 = _turned(t1, p1, middle1), _turned(t2, p2, middle2), _turned(t3, p3, middle3)
+        g1, g2 = _turned(t1 + math.pi, p1, middle1), _turned(math.pi - t2, p2, middle2)
+        g3 = _turned(t3 + math.pi, p3, middle3)
+        # What speaks for the other branch.
+        out1, out2, out3 = max(abs(h1 - middle1) - half1, 0.0), max(abs(h2 - middle2) - half2, 0.0), abs(h3 - middle3)
+        off1, off2, off3 = max(abs(g1 - middle1) - half1, 0.0), max(abs(g2 - middle2) - half2, 0.0), abs(g3 - middle3)
+        out3, off3 = h4 * max(out3 - half3, 0.0), h4 * max(off3 - half3, 0.0)
+        e1, e2, d1, d2 = h1 - p1, h2 - p2, g1 - p1, g2 - p2
+        gain = OUTSIDE_WEIGHT * (out1 * out1 + out2 * out2 + out3 * out3 - off1 * off1 - off2 * off2 - off3 * off3)
+        gain += e1 * e1 + e2 * e2 - d1 * d1 - d2 * d2 - 4.0 * h4 * p4 * sine_cosine(h3 - p3)[1]
+        other = gain > 0.0
+        h1, h2, h3 = g1 if other else h1, g2 if other else h2, g3 if other else h3
+        at = ANGLES + to_angles + lane
+        work[at], work[at + LANES], work[at + 2 * LANES], work[at + 3 * LANES] = h1, h2, h3, h4
+        at = LENGTHS + to_lengths + lane
+        work[at], work[at + LANES] = bone, math.sqrt(fx * fx + fy * fy + fz * fz)
+
+        held = (h1 >= min(max(low1, p1 - r1), p1 + r1)) & (h1 <= max(min(up1, p1 + r1), p1 - r1))
+        held &= (h2 >= min(max(low2, p2 - r2), p2 + r2)) & (h2 <= max(min(up2, p2 + r2), p2 - r2))
+        held &= (h3 >= min(max(low3, p3 - r3), p3 + r3)) & (h3 <= max(min(up3, p3 + r3), p3 - r3))
+        held &= (h4 >= min(max(low4, p4 - r4), p4 + r4)) & (h4 <= max(min(up4, p4 + r4), p4 - r4))
+        work[HELD + to_flags + lane] = 1.0 if held else 0.0
+        defined = (swing > UNDEFINED * bone) & (across > UNDEFINED * abs(along))
+        work[SURE + lane] = work[SURE + lane] if defined else 0.0
+
+
+@njit(cache=True, forceinline=True)
+@no_type_check
+def _turned(angle: float, previous: float, middle: float) -> float:
+    """By whole turns nearest to the previous angle, or to the middle of the range when that is far from it."""
+    turned = nearest_turn(angle, previous)
+    return turned if abs(turned - middle) <= FAR else nearest_turn(angle, middle)
+
+
+@njit(cache=True)
+@no_type_check
+def _redrawn(
+    work: Float[np.ndarray, " W"],
+    lane: int,
+    arm: int,
+    seed: np.uint64,
+    number: np.uint64,
+    centre: Float[np.ndarray, "18"],
+    spread: Float[np.ndarray, "18"],
+    lower: Float[np.ndarray, "18"],
+    upper: Float[np.ndarray, "18"],
+    speed: Float[np.ndarray, "18"],
+    dt: float,
+) -> None:
+    """Draws anew the angles of one arm that leave their bounds."""
+    for part in range(4):
+        d = 6 + 6 * arm + part
+        before = work[BEFORE + d * LANES + lane]
+        lb, ub = bounds(lower[d], upper[d], speed[d], before, dt)
+        angle = ANGLES + (4 * arm + part) * LANES + lane
+        if not lb <= work[angle] <= ub:
+            about = centre[d] if part == 3 else nearest_turn(centre[d], before)
+            uniform = hashed_uniform(seed, number + np.uint64(4 * arm + part))
+            work[angle] = sample(uniform, about, spread[d], lb, ub)
+
+
+@njit(cache=True, forceinline=True)
+@no_type_check
+def _placed(
+    work: Float[np.ndarray, " W"], to_points: int, to_angles: int, to_lengths: int, to_flags: int, side: float
+) -> None:
+    """Forward kinematics of one arm in the lanes where it was moved (kinecast.body.arm_angles.arm_vectors)."""
+    for lane in range(LANES):
+        at = ANGLES + to_angles + lane
+        s1, c1 = sine_cosine(work[at])
+        s2, c2 = sine_cosine(work[at + LANES])
+        s3, c3 = sine_cosine(work[at + 2 * LANES])
+        s4, c4 = sine_cosine(work[at + 3 * LANES])
+        upper, fore = work[LENGTHS + to_lengths + lane], work[LENGTHS + to_lengths + LANES + lane]
+        sa, ca = work[TORSO + lane], work[TORSO + LANES + lane]
+        sb, cb = work[TORSO + 2 * LANES + lane], work[TORSO + 3 * LANES + lane]
+        ux, uy, uz = c2 * s1, side * s2, -c2 * c1
+        along, ahead, outward = fore * c4, fore * s4 * c3, fore * s4 * s3
+        fx = along * ux + ahead * c1 - outward * s2 * s1
+        fy = along * uy + outward * side * c2
+        fz = along * uz + ahead * s1 + outward * s2 * c1
+        level = cb * uy - sb * uz
+        at = POINTS + to_points + lane
+        ex = work[at] + upper * (ca * ux - sa * level)
+        ey = work[at + LANES] + upper * (sa * ux + ca * level)
+        ez = work[at + 2 * LANES] + upper * (sb * uy + cb * uz)
+        level = cb * fy - sb * fz
+        wx, wy, wz = ex + ca * fx - sa * level, ey + sa * fx + ca * level, ez + sb * fy + cb * fz
+        moved = work[MOVED + to_flags + lane] == 1.0
+        work[at + 3 * LANES] = ex if moved else work[at + 3 * LANES]
+        work[at + 4 * LANES] = ey if moved else work[at + 4 * LANES]
+        work[at + 5 * LANES] = ez if moved else work[at + 5 * LANES]
+        work[at + 6 * LANES] = wx if moved else work[at + 6 * LANES]
+        work[at + 7 * LANES] = wy if moved else work[at + 7 * LANES]
+        work[at + 8 * LANES] = wz if moved else work[at + 8 * LANES]
+
+
+@njit(cache=True, fastmath={"contract"})
+@no_type_check
+def _into_world(work: Float[np.ndarray, " W"], R: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> None:
+    """All six points from the torso frame to the world."""
+    r00, r01, r02, r10, r11, r12 = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
+    r20, r21, r22, o0, o1, o2 = R[2, 0], R[2, 1], R[2, 2], origin[0], origin[1], origin[2]
+    for j in range(6):
+        for lane in range(LANES):
+            at = 3 * j * LANES + lane
+            x, y, z = work[POINTS + at], work[POINTS + at + LANES], work[POINTS + at + 2 * LANES]
+            work[WORLD + at] = o0 + r00 * x + r01 * y + r02 * z
+            work[WORLD + at + LANES] = o1 + r10 * x + r11 * y + r12 * z
+            work[WORLD + at + 2 * LANES] = o2 + r20 * x + r21 * y + r22 * z
+
+
+@njit(cache=True)
+@no_type_check
+def _moved_inside(
+    pose: Float[np.ndarray, "6 3"],
+    posture: Float[np.ndarray, "2 18"],
+    seed: np.uint64,
+    number: np.uint64,
+    centre: Float[np.ndarray, "18"],
+    spread: Float[np.ndarray, "18"],
+    lower: Float[np.ndarray, "18"],
+    upper: Float[np.ndarray, "18"],
+    ceiling: Float[np.ndarray, "18"],
+    dt: float,
+) -> None:
+    """One pose into its bounds, if it is not there: `posture` holds the one before and receives the new one."""
+    before, now = posture[0], posture[1]
+    posture_of_points(pose, before, now)
+    broken = False
+    for k in range(8):
+        d = 6 + k + 2 * (k // 4)
+        lb, ub = bounds(lower[d], upper[d], ceiling[d], before[d], dt)
+        if not lb <= now[d] <= ub:
+            about = centre[d] if k % 4 == 3 else nearest_turn(centre[d], before[d])
+            now[d] = sample(hashed_uniform(seed, number + np.uint64(k)), about, spread[d], lb, ub)
+            broken = True
+    if broken:
+        points_of_posture(now, pose)
