@@ -21,7 +21,17 @@ from numba import njit
 
 from kinecast.body.elementary import sine_cosine
 
-__all__ = ["LEFT", "RIGHT", "USUAL_RANGE", "Angles", "Vector", "arm_angles", "arm_vectors", "nearest_turn"]
+__all__ = [
+    "LEFT",
+    "OUTSIDE_WEIGHT",
+    "RIGHT",
+    "USUAL_RANGE",
+    "Angles",
+    "Vector",
+    "arm_angles",
+    "arm_vectors",
+    "nearest_turn",
+]
 
 Vector: TypeAlias = tuple[float, float, float]
 Angles: TypeAlias = tuple[float, float, float, float]
@@ -100,22 +110,24 @@ def _beyond(angle: float, usual: tuple[float, float]) -> float:
 
 @njit(cache=True)
 @no_type_check
-def _turned(angle: float, previous: float, usual: tuple[float, float]) -> float:
-    """The angle by whole turns nearest to previous, or to the usual range when that is far from it."""
+def _turned(angle: float, previous: float, usual: tuple[float, float], weight: float) -> float:
+    """The angle by whole turns nearest to previous, or, with a weight, to the usual range when that is far from it."""
     middle = 0.5 * (usual[0] + usual[1])
     turned = nearest_turn(angle, previous)
-    return turned if math.fabs(turned - middle) <= FAR else nearest_turn(angle, middle)
+    return turned if weight == 0.0 or math.fabs(turned - middle) <= FAR else nearest_turn(angle, middle)
 
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def arm_angles(u: Vector, f: Vector, side: float, previous: Angles) -> Angles:
+def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: float) -> Angles:
     """Inverse kinematics: of the two branches, the one nearest to the previous angles and to the usual range.
 
     It has the least squared distance in (θ1, θ2, θ4 cos θ3, θ4 sin θ3), which is smooth at a straight elbow,
-    plus 16 times the squared distance from the usual range. So continuous motion keeps its branch, but a
-    tracker that jumps across the shoulder cannot leave an arm on a branch no arm can be on. Whole turns are
-    the nearest to the previous angles, until that is more than 195° from the middle of the usual range.
+    plus `weight` times the squared distance from the usual range. So continuous motion keeps its branch, but with
+    `OUTSIDE_WEIGHT` a tracker that jumps across the shoulder cannot leave an arm on a branch no arm can be on. Whole
+    turns are the nearest to the previous angles, until that is more than 195° from the middle of the usual range.
+    With weight 0 the angles go on from the previous ones wherever those are: the angles of a motion that kept
+    limits are then found again from its points, even where limits are wider than the usual range.
 
     An angle that is undefined keeps its previous value, 0 when there is none: θ3 at a straight elbow, θ1 with
     the arm straight out sideways. A forearm that is NaN gives NaN for θ3 and θ4 alone.
@@ -125,6 +137,7 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles) -> Angles:
         f: elbow to wrist, of any length [m].
         side: +1 left, −1 right.
         previous: the angles one step earlier [rad]; NaN for none, an arm at rest then.
+        weight: of the usual range, `OUTSIDE_WEIGHT` or 0.
 
     Returns:
         The four angles [rad]; θ4 lies in [0, π].
@@ -157,20 +170,20 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles) -> Angles:
     bent = across > UNDEFINED * math.fabs(along)
     theta3 = math.atan2(outward, ahead) if bent else p3
 
-    here1 = _turned(theta1, p1, USUAL_RANGE[0])
-    here2 = _turned(theta2, p2, USUAL_RANGE[1])
-    here3 = _turned(theta3, p3, USUAL_RANGE[2])
-    there1 = _turned(theta1 + math.pi, p1, USUAL_RANGE[0])
-    there2 = _turned(math.pi - theta2, p2, USUAL_RANGE[1])
-    there3 = _turned(theta3 + math.pi, p3, USUAL_RANGE[2]) if bent else here3
+    here1 = _turned(theta1, p1, USUAL_RANGE[0], weight)
+    here2 = _turned(theta2, p2, USUAL_RANGE[1], weight)
+    here3 = _turned(theta3, p3, USUAL_RANGE[2], weight)
+    there1 = _turned(theta1 + math.pi, p1, USUAL_RANGE[0], weight)
+    there2 = _turned(math.pi - theta2, p2, USUAL_RANGE[1], weight)
+    there3 = _turned(theta3 + math.pi, p3, USUAL_RANGE[2], weight) if bent else here3
 
     gain = (here1 - p1) ** 2 + (here2 - p2) ** 2 - (there1 - p1) ** 2 - (there2 - p2) ** 2
-    gain += OUTSIDE_WEIGHT * (_beyond(here1, USUAL_RANGE[0]) + _beyond(here2, USUAL_RANGE[1]))
-    gain -= OUTSIDE_WEIGHT * (_beyond(there1, USUAL_RANGE[0]) + _beyond(there2, USUAL_RANGE[1]))
+    gain += weight * (_beyond(here1, USUAL_RANGE[0]) + _beyond(here2, USUAL_RANGE[1]))
+    gain -= weight * (_beyond(there1, USUAL_RANGE[0]) + _beyond(there2, USUAL_RANGE[1]))
     if bent:
         gain -= 4.0 * theta4 * p4 * math.cos(here3 - p3)
         rotated = _beyond(here3, USUAL_RANGE[2]) - _beyond(there3, USUAL_RANGE[2])
-        gain += OUTSIDE_WEIGHT * theta4 * theta4 * rotated
+        gain += weight * theta4 * theta4 * rotated
     if math.isnan(across):
         here3, there3 = math.nan, math.nan
     if gain > 0.0:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.body.arm_angles import arm_angles
+from kinecast.body.arm_angles import OUTSIDE_WEIGHT, arm_angles
 from kinecast.errors import OptionError
 
 __all__ = ["LeastSquaresOptions", "Solution", "closed_form", "damped_least_squares"]
@@ -24,7 +24,7 @@ def _arm_series(elbow: np.ndarray, wrist: np.ndarray, side: float, previous: np.
     for step in range(len(elbow)):
         u = (elbow[step, 0], elbow[step, 1], elbow[step, 2])
         f = (wrist[step, 0] - u[0], wrist[step, 1] - u[1], wrist[step, 2] - u[2])
-        theta = arm_angles(u, f, side, (last[0], last[1], last[2], last[3]))
+        theta = arm_angles(u, f, side, (last[0], last[1], last[2], last[3]), OUTSIDE_WEIGHT)
         for i in range(4):
             out[step, i] = theta[i]
             if not math.isnan(theta[i]):

@@ -25,7 +25,16 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.body.arm_angles import LEFT, RIGHT, UNDEFINED, Vector, arm_angles, arm_vectors, nearest_turn
+from kinecast.body.arm_angles import (
+    LEFT,
+    OUTSIDE_WEIGHT,
+    RIGHT,
+    UNDEFINED,
+    Vector,
+    arm_angles,
+    arm_vectors,
+    nearest_turn,
+)
 from kinecast.body.elementary import sine_cosine
 
 __all__ = [
@@ -78,12 +87,13 @@ def _length(v: Vector) -> float:
 
 @njit(cache=True)
 @no_type_check
-def posture_of_points(points: np.ndarray, previous: np.ndarray, out: np.ndarray) -> None:
+def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, out: np.ndarray) -> None:
     """The posture of six points, on the branch nearest to the previous posture (kernel).
 
     Args:
         points: (6, 3) points in the reference torso frame [m]; a NaN point gives NaN where it is needed.
         previous: (18,) posture one step earlier; NaN for none, number by number.
+        weight: of the usual range in the choice of the branch (kinecast.body.arm_angles).
         out: (18,) receives the posture; may be the same array as previous.
     """
     d = _difference(points, 0, 3)
@@ -114,6 +124,7 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, out: np.ndarray)
             _into_torso(fore, sy, cy, sr, cr),
             LEFT if arm == 0 else RIGHT,
             (previous[at], previous[at + 1], previous[at + 2], previous[at + 3]),
+            weight,
         )
         out[at], out[at + 1], out[at + 2], out[at + 3] = theta
         out[at + 4] = _length(upper)
@@ -148,12 +159,12 @@ def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
 
 @njit(cache=True)
 @no_type_check
-def _posture_series(points: np.ndarray, previous: np.ndarray, continuous: bool, out: np.ndarray) -> None:
+def _posture_series(points: np.ndarray, previous: np.ndarray, continuous: bool, weight: float, out: np.ndarray) -> None:
     last = np.empty(18)
     for series in range(points.shape[0]):
         last[:] = previous[series]
         for step in range(points.shape[1]):
-            posture_of_points(points[series, step], last, out[series, step])
+            posture_of_points(points[series, step], last, weight, out[series, step])
             if continuous:
                 for i in range(18):
                     if not math.isnan(out[series, step, i]):
@@ -171,6 +182,7 @@ def postures_from_points(
     points: Float[np.ndarray, "*batch N 6 3"],
     previous: Float[np.ndarray, "*#batch 18"] | None = None,
     continuous: bool = True,
+    usual: bool = True,
 ) -> Float[np.ndarray, "*batch N 18"]:
     """Postures of point series: x ↦ (p, ψ, ρ, w, θ, L), exact inverse of `points_from_postures`.
 
@@ -179,6 +191,8 @@ def postures_from_points(
         previous: (…, 18) posture before the first frame of each series; None or NaN for none.
         continuous: each frame continues from the last one known in its series (over NaN gaps too);
             else each frame continues from `previous` alone.
+        usual: whether an arm far outside its usual range changes to its other branch, as fits a tracked person; a
+            motion drawn within limits of its own goes on from its own branch without.
 
     Returns:
         (…, N, 18) postures. NaN points give NaN in the numbers that need them.
@@ -192,6 +206,7 @@ def postures_from_points(
         np.ascontiguousarray(points, dtype=np.float64).reshape(series, frames, 6, 3),
         np.ascontiguousarray(start, dtype=np.float64),
         continuous,
+        OUTSIDE_WEIGHT if usual else 0.0,
         out,
     )
     return out.reshape(*batch, frames, 18)

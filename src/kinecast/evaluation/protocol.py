@@ -201,7 +201,7 @@ def _violations(
 ) -> Int[np.ndarray, "4"]:
     """Steps that break position limits, speed limits and the scene, from positions alone; and all known steps."""
     initial = postures_from_points(observation.points, continuous=True)[-1]
-    postures = postures_from_points(observation.to_torso(positions), initial, continuous=True)
+    postures = postures_from_points(observation.to_torso(positions), initial, continuous=True, usual=False)
     position, speed = violations(postures, initial, observation.dt, limits)
     known = np.isfinite(positions).all(axis=(-1, -2))
     hit = np.zeros_like(known)

@@ -262,7 +262,7 @@ class Horizon:
         draws = normals(rng, factor.shape[-1], samples)
         draws *= common_factors(self.spread.weights, samples, rng)
         initial = postures_from_points(observation.points, continuous=True)[-1]
-        centre = postures_from_points(mean, initial, continuous=True)
+        centre = postures_from_points(mean, initial, continuous=True, usual=False)
         motions = draw_motions(
             mean,
             factor,

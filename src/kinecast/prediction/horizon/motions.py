@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-from kinecast.body.arm_angles import FAR, OUTSIDE_WEIGHT, UNDEFINED, USUAL_RANGE, nearest_turn
+from kinecast.body.arm_angles import UNDEFINED, nearest_turn
 from kinecast.body.elementary import arctangent, sine_cosine
 from kinecast.body.limits import bounds, speeds_within_wrist_speed
 from kinecast.body.posture import points_of_posture, posture_of_points
@@ -33,8 +33,6 @@ POINTS, BEFORE, TORSO, ANGLES, SURE, HELD, MOVED, LENGTHS, WORLD = (
 """Places in a block's work: six points; posture one step before; sine and cosine of yaw and roll; eight angles; whether
 they are certain, and for each arm whether it keeps its bounds and whether it was moved; lengths of upper arm and
 forearm, left and right; six points in the world."""
-USUAL = tuple((0.5 * (least + most), 0.5 * (most - least)) for least, most in USUAL_RANGE[:3])
-"""Middle and half the width of each angle's usual range [rad]."""
 ARM_POINTS, ARM_POSTURE, ARM_ANGLES, ARM_LENGTHS = 9 * LANES, 6 * LANES, 4 * LANES, 2 * LANES
 """From what belongs to the left arm to what belongs to the right."""
 
@@ -242,7 +240,6 @@ def _angles(
     low1, low2, low3, low4 = lower[0], lower[1], lower[2], lower[3]
     up1, up2, up3, up4 = upper[0], upper[1], upper[2], upper[3]
     r1, r2, r3, r4 = speed[0] * dt, speed[1] * dt, speed[2] * dt, speed[3] * dt
-    (middle1, half1), (middle2, half2), (middle3, half3) = USUAL
     for lane in range(LANES):
         at = POINTS + to_points + lane
         sa, ca = work[TORSO + lane], work[TORSO + LANES + lane]
@@ -268,16 +265,11 @@ def _angles(
         at = BEFORE + to_posture + lane
         p1, p2, p3, p4 = work[at + 6 * LANES], work[at + 7 * LANES], work[at + 8 * LANES], work[at + 9 * LANES]
         t1, t2, t3, h4 = arctangent(s1, c1), arctangent(s2, c2), arctangent(outward, ahead), arctangent(across, along)
-        h1, h2, h3 = _turned(t1, p1, middle1), _turned(t2, p2, middle2), _turned(t3, p3, middle3)
-        g1, g2 = _turned(t1 + math.pi, p1, middle1), _turned(math.pi - t2, p2, middle2)
-        g3 = _turned(t3 + math.pi, p3, middle3)
+        h1, h2, h3 = nearest_turn(t1, p1), nearest_turn(t2, p2), nearest_turn(t3, p3)
+        g1, g2, g3 = nearest_turn(t1 + math.pi, p1), nearest_turn(math.pi - t2, p2), nearest_turn(t3 + math.pi, p3)
         # What speaks for the other branch.
-        out1, out2, out3 = max(abs(h1 - middle1) - half1, 0.0), max(abs(h2 - middle2) - half2, 0.0), abs(h3 - middle3)
-        off1, off2, off3 = max(abs(g1 - middle1) - half1, 0.0), max(abs(g2 - middle2) - half2, 0.0), abs(g3 - middle3)
-        out3, off3 = h4 * max(out3 - half3, 0.0), h4 * max(off3 - half3, 0.0)
         e1, e2, d1, d2 = h1 - p1, h2 - p2, g1 - p1, g2 - p2
-        gain = OUTSIDE_WEIGHT * (out1 * out1 + out2 * out2 + out3 * out3 - off1 * off1 - off2 * off2 - off3 * off3)
-        gain += e1 * e1 + e2 * e2 - d1 * d1 - d2 * d2 - 4.0 * h4 * p4 * sine_cosine(h3 - p3)[1]
+        gain = e1 * e1 + e2 * e2 - d1 * d1 - d2 * d2 - 4.0 * h4 * p4 * sine_cosine(h3 - p3)[1]
         other = gain > 0.0
         h1, h2, h3 = g1 if other else h1, g2 if other else h2, g3 if other else h3
         at = ANGLES + to_angles + lane
@@ -292,14 +284,6 @@ def _angles(
         work[HELD + to_flags + lane] = 1.0 if held else 0.0
         defined = (swing > UNDEFINED * bone) & (across > UNDEFINED * abs(along))
         work[SURE + lane] = work[SURE + lane] if defined else 0.0
-
-
-@njit(cache=True, forceinline=True)
-@no_type_check
-def _turned(angle: float, previous: float, middle: float) -> float:
-    """By whole turns nearest to the previous angle, or to the middle of the range when that is far from it."""
-    turned = nearest_turn(angle, previous)
-    return turned if abs(turned - middle) <= FAR else nearest_turn(angle, middle)
 
 
 @njit(cache=True)
@@ -396,7 +380,7 @@ def _moved_inside(
 ) -> None:
     """One pose into its bounds, if it is not there: `posture` holds the one before and receives the new one."""
     before, now = posture[0], posture[1]
-    posture_of_points(pose, before, now)
+    posture_of_points(pose, before, 0.0, now)
     broken = False
     for k in range(8):
         d = 6 + k + 2 * (k // 4)
