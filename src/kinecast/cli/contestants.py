@@ -11,14 +11,16 @@ from kinecast.cli.progress import note, progress_bar
 from kinecast.cli.recordings import listed
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions
-from kinecast.errors import ModelError
+from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
 from kinecast.prediction.checkpoint import ModelCard
 from kinecast.prediction.forecast import Method
+from kinecast.prediction.horizon.ablation import ablations
+from kinecast.prediction.horizon.method import Horizon
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
 
-__all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known"]
+__all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known", "with_ablations"]
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,20 @@ def read_models(
     methods = {name: method for name, (_, _, method) in zip(names, models, strict=True)}
     trained_on = sorted({name for card in cards for name in card.trained_on})
     return Contestants(methods, _limits(cards), trained_on, options)
+
+
+def with_ablations(methods: Mapping[str, Method]) -> dict[str, Method]:
+    """The methods, and before `kinecast` what is left of it with each stage switched off in turn.
+
+    Raises:
+        OptionError: `kinecast` is not among them.
+    """
+    whole = methods.get("kinecast")
+    if not isinstance(whole, Horizon):
+        raise OptionError(f"--ablate takes kinecast apart; the methods are {', '.join(methods)}")
+    parts = ablations(whole)
+    others = {name: method for name, method in methods.items() if method is not whole}
+    return {**others, **{f"kinecast, {name}": part for name, part in parts.items()}, "kinecast": whole}
 
 
 def warn_of_known(contestants: Contestants, test: Sequence[Recording]) -> None:

@@ -8,9 +8,9 @@ from typing import Annotated
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.contestants import method_names, read_models, train_methods, warn_of_known
+from kinecast.cli.contestants import method_names, read_models, train_methods, warn_of_known, with_ablations
 from kinecast.cli.destination import check_folder
-from kinecast.cli.options import Action, Folder, FormatName, Many, MethodNames, SceneFile, check_seed
+from kinecast.cli.options import Action, Folder, FormatName, Many, MethodNames, SceneFile, Switch, check_seed
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
 from kinecast.datasets.windows import WindowOptions, all_windows
@@ -46,6 +46,7 @@ def evaluate(
     stride: int = 5,
     label: Action = None,
     scene: SceneFile = None,
+    ablate: Switch = False,
     samples: int = 1000,
     repeats: int = 25,
     seed: int = 0,
@@ -65,6 +66,7 @@ def evaluate(
         stride: frames from one test window to the next.
         label: train and test only where the recordings' label is this action.
         scene: obstacles, a YAML file, in the frame of the recordings.
+        ablate: also score `kinecast` with each of its stages switched off in turn.
         samples: motions drawn per prediction.
         repeats: how often the NLL is taken again with fresh draws, for its histogram.
         seed: of everything random.
@@ -81,6 +83,8 @@ def evaluate(
     check_seed(seed)
     check_folder(out)
     names = method_names(methods)
+    if ablate and not model and "kinecast" not in names:
+        raise OptionError("--ablate takes kinecast apart: name it among --methods")
     obstacles = None if scene is None else Scene.load(scene)
     contestants = read_models(model, rate, window, horizon) if model else None
     options = WindowOptions(
@@ -97,10 +101,13 @@ def evaluate(
         contestants = train_methods(names, recordings, options, obstacles, seed)
     else:
         warn_of_known(contestants, tested)
+    scored = tuple(contestants.methods)
+    if ablate:
+        contestants = replace(contestants, methods=with_ablations(contestants.methods))
     settings = {
         "version": __version__,
         "train": list(contestants.trained_on),
-        "models": {name: str(path) for name, path in zip(contestants.methods, model, strict=False)},
+        "models": {name: str(path) for name, path in zip(scored, model, strict=False)},
         "rate": options.rate,
         "window": options.window,
         "horizon": options.horizon,

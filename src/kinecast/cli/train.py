@@ -18,7 +18,7 @@ __all__ = ["train"]
 def train(
     paths: What,
     out: File,
-    method: MethodName = "gp_constrained",
+    method: MethodName = "kinecast",
     rate: float = 30.0,
     window: float = 0.2,
     horizon: float = 0.5,

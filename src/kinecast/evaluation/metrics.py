@@ -141,7 +141,7 @@ def regions(
     samples: Float[np.ndarray, "S T J 3"],
     truth: Float[np.ndarray, "T J 3"],
     levels: Sequence[float] = LEVELS,
-) -> tuple[Bool[np.ndarray, "L T J"], Float[np.ndarray, "L T J"]]:
+) -> tuple[Bool[np.ndarray, "L T J"], Float[np.ndarray, "L T J"], Float[np.ndarray, "L T J"]]:
     """Ellipsoids that hold a share of the samples: is the truth inside, and how large are they?
 
     The ellipsoid of a joint and step has the samples' mean and covariance, and is scaled through the
@@ -154,8 +154,9 @@ def regions(
         levels: shares of probability, each in (0, 1).
 
     Returns:
-        (L, T, J) whether the truth is inside, False where it is missing (mask with `scored`), and
-        (L, T, J) volumes [m^3], zero for samples without spread, NaN where no sample is left.
+        (L, T, J) whether the truth is inside, False where it is missing (mask with `scored`);
+        (L, T, J) volumes [m^3], zero for samples without spread, NaN where no sample is left; and
+        (L, T, J) by what its radius must be multiplied for the region to just reach the truth, NaN where it is missing.
 
     Raises:
         OptionError: a level outside (0, 1).
@@ -173,7 +174,9 @@ def regions(
     inside = reached <= squared_radius  # False for NaN
     volume = 4.0 / 3.0 * np.pi * squared_radius**1.5 * np.exp(0.5 * log_det)
     shape = (len(levels), *truth.shape[:-1])
-    return inside.reshape(shape), volume.reshape(shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stretch = np.sqrt(reached / squared_radius)
+    return inside.reshape(shape), volume.reshape(shape), stretch.reshape(shape)
 
 
 def effective_sample_size(weights: Float[np.ndarray, "*batch S"]) -> Float[np.ndarray, "*batch"]:

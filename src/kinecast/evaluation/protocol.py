@@ -81,6 +81,7 @@ class _Scores:
     energy: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
     inside: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
     volume: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
+    stretch: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
     broken: list[Int[np.ndarray, "4"]] = field(default_factory=list)
     accepted: list[float] = field(default_factory=list)
     distinct: list[int] = field(default_factory=list)
@@ -184,10 +185,11 @@ def _score(
     scores.kde.append(kde_nll(forecast.samples, truth))
     scores.crps.append(crps(forecast.samples, truth))
     scores.energy.append(energy_score(forecast.samples, truth))
-    inside, volume = regions(forecast.samples, truth, LEVELS)
+    inside, volume, stretch = regions(forecast.samples, truth, LEVELS)
     known = np.isfinite(truth).all(axis=-1)
     scores.inside.append(np.where(known, inside, np.nan))
     scores.volume.append(volume)
+    scores.stretch.append(np.where(known, stretch, np.nan))
     scores.broken.append(_violations(forecast.samples, observation, scene, options.limits))
     scores.accepted.append(float(forecast.accepted[-1]))
     scores.distinct.append(forecast.distinct)
@@ -225,7 +227,7 @@ def _summary(
     pace: float,
 ) -> dict[str, Any]:
     error, nll, volume = np.array(scores.error), np.array(scores.nll), np.array(scores.volume)
-    crps_, inside = np.array(scores.crps), np.array(scores.inside)
+    crps_, inside, stretch = np.array(scores.crps), np.array(scores.inside), np.array(scores.stretch)
     per_window = _averages(error)
     block = max(round(BOOTSTRAP_BLOCK / (pace or 1.0)), 1)
     broken = _share(scores.broken)
@@ -256,6 +258,9 @@ def _summary(
             str(level): [_mean(inside[:, k, t]) for t in range(inside.shape[2])] for k, level in enumerate(LEVELS)
         },
         "region_litres": {str(level): _mean(1e3 * volume[:, k]) for k, level in enumerate(LEVELS)},
+        "calibrated_region_litres": {
+            str(level): _calibrated(1e3 * volume[:, k], stretch[:, k], level) for k, level in enumerate(LEVELS)
+        },
         "violations": {"position": float(broken[0]), "speed": float(broken[1]), "scene": float(broken[2])},
         "accepted_fraction": float(np.mean(scores.accepted)),
         "effective_sample_size": float(np.mean(scores.distinct)),
@@ -267,6 +272,23 @@ def _summary(
             for k, name in enumerate(names)
         },
     }
+
+
+def _calibrated(
+    volume: Float[np.ndarray, "W T 6"], stretch: Float[np.ndarray, "W T 6"], level: float
+) -> dict[str, float | None]:
+    """Volumes of regions whose radii are multiplied by the one factor with which they cover what they should.
+
+    Methods are then compared at equal coverage. Wide regions govern the mean, all count alike in the typical one (the
+    geometric mean).
+    """
+    known = stretch[~np.isnan(stretch)]
+    factor = np.quantile(known, level, method="higher") if known.size else np.inf
+    if not np.isfinite(factor):
+        return {"mean": None, "typical": None}
+    scaled = volume * factor**3
+    middle = _mean(np.log(np.where(scaled > 0, scaled, np.nan)))
+    return {"mean": _mean(scaled), "typical": None if middle is None else float(np.exp(middle))}
 
 
 def _averages(values: Float[np.ndarray, "W ..."]) -> Float[np.ndarray, " W"]:

@@ -50,7 +50,8 @@ MEANINGS = {
     "CRPS, energy": "scores of the whole distribution in millimetres, per coordinate and per joint: the "
     "error of the mean and the width together",
     "coverage": "share of true positions inside the ellipsoid that holds 90 % of the samples; best is 90",
-    "region": "volume of that ellipsoid",
+    "region": "volume of that ellipsoid once its radius is multiplied by the one factor with which it covers 90 %, "
+    "so that all methods are compared at equal coverage; geometric mean over joints, steps and windows",
     "accepted": "share of samples that the scene leaves; effective: how many of those differ",
     "latency": "of one prediction, median and 99th percentile",
 }

@@ -71,7 +71,7 @@ SCORES = (
     _Score("CRPS", "mm", ("crps_mm",), 1),
     _Score("energy", "mm", ("energy_score_mm",), 1),
     _Score("coverage", "at 90 %", ("coverage", "0.9"), 1, times=100.0, ideal=90.0),
-    _Score("region", "litres", ("region_litres", "0.9"), 2, ideal=None),
+    _Score("region", "litres", ("calibrated_region_litres", "0.9", "typical"), 2),
     _Score("accepted", "%", ("accepted_fraction",), 1, times=100.0, ideal=None),
     _Score("effective", "samples", ("effective_sample_size",), 0, ideal=None),
     _Score("latency", "ms, p50", ("latency_ms", "p50"), 1, ideal=None),

@@ -126,7 +126,7 @@ def test_zero_spread_scores_as_the_smallest_spread_told() -> None:
     bandwidth = 1e-4 * 100 ** (-1 / 7)
     np.testing.assert_allclose(scores[0], 3 * np.log(bandwidth * np.sqrt(2 * np.pi)), rtol=1e-12)
     np.testing.assert_array_equal(scores[1], 20.0)
-    inside, volume = regions(samples, truth)
+    inside, volume, _ = regions(samples, truth)
     assert inside[:, 0].all()
     assert not inside[:, 1].any()
     np.testing.assert_array_equal(volume, 0.0)
@@ -138,7 +138,7 @@ def test_one_sample_is_a_point() -> None:
     np.testing.assert_allclose(crps(samples, truth), np.abs(samples[0] - truth))
     np.testing.assert_allclose(energy_score(samples, truth), joint_errors(samples[0], truth))
     assert np.all(np.isfinite(kde_nll(samples, truth)))
-    inside, volume = regions(samples, truth)
+    inside, volume, _ = regions(samples, truth)
     assert not inside.any()
     np.testing.assert_array_equal(volume, 0.0)
 
@@ -170,7 +170,7 @@ def test_no_sample_accepted_is_no_score() -> None:
     samples, truth = np.zeros((0, 2, 6, 3)), np.zeros((2, 6, 3))
     for score in SAMPLE_SCORES:
         assert np.isnan(score(samples, truth)).all()
-    inside, volume = regions(samples, truth)
+    inside, volume, _ = regions(samples, truth)
     assert not inside.any()
     assert np.isnan(volume).all()
 
@@ -180,19 +180,19 @@ def test_regions_without_truth_or_samples() -> None:
     truth[0, 0, 0] = np.nan
     samples[:, 1, 1] = np.nan
     samples[:20, 2, 2, 0] = np.nan
-    inside, volume = regions(samples, truth, levels=(0.9,))
+    inside, volume, _ = regions(samples, truth, levels=(0.9,))
     assert not inside[0, 0, 0]
     assert not inside[0, 1, 1]
     assert np.isfinite(volume[0, 0, 0])
     assert np.isnan(volume[0, 1, 1])
-    _, half = regions(samples[20:], truth, levels=(0.9,))
+    _, half, _ = regions(samples[20:], truth, levels=(0.9,))
     np.testing.assert_allclose(volume[0, 2, 2], half[0, 2, 2])
 
 
 def test_coverage_of_a_gaussian_is_the_level_within_its_standard_error() -> None:
     rng = np.random.default_rng(12)
     samples, truth = isotropic(rng, 200, windows=1500, sigma=0.03)
-    inside, _ = regions(samples, truth)
+    inside, _, _ = regions(samples, truth)
     cells = inside[0].size
     for level, held in zip(metrics.LEVELS, inside.mean(axis=(1, 2)), strict=True):
         # Mean and covariance come from the samples and lean towards them: worth up to about d / S = 1.5 %.
@@ -203,7 +203,7 @@ def test_volume_of_a_gaussians_region() -> None:
     """4/3 π (σ r)³, where r² is the χ²(3) quantile."""
     rng = np.random.default_rng(13)
     samples, truth = isotropic(rng, 4000, windows=5, sigma=0.03)
-    _, volume = regions(samples, truth)
+    _, volume, _ = regions(samples, truth)
     for level, litres in zip(metrics.LEVELS, volume.reshape(5, -1), strict=True):
         exact = 4 / 3 * np.pi * (0.03 * np.sqrt(chi2(3).ppf(level))) ** 3
         assert abs(litres.mean() - exact) < 4 * litres.std() / np.sqrt(litres.size) + 0.01 * exact
@@ -216,7 +216,7 @@ def test_regions_follow_the_samples_shape() -> None:
     truth = np.zeros((2, 6, 3))
     truth[0, :, 0] = 0.3
     truth[1, :, 1] = 0.1
-    inside, _ = regions(samples, truth, levels=(0.9,))
+    inside, _, _ = regions(samples, truth, levels=(0.9,))
     assert inside[0, 0].all()
     assert not inside[0, 1].any()
 

@@ -15,13 +15,12 @@ __all__ = ["ablations"]
 
 
 def ablations(whole: Horizon) -> dict[str, Horizon]:
-    """The model itself, then without each stage in turn, by what is missing."""
+    """The model without each of its stages in turn, by what is missing."""
     mixture, spread = whole.mixture, whole.spread
     learned = range(len(mixture.experts))
     networks = [k for k in learned if isinstance(mixture.experts[k], Network)]
     others = [k for k in learned if k not in networks]
     return {
-        "kinecast": whole,
         "no network": replace(whole, mixture=_without(mixture, networks)),
         "no radial basis": replace(whole, mixture=_without(mixture, others)),
         "no gate": replace(whole, mixture=replace(mixture, gate=None)),
