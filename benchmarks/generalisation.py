@@ -3,8 +3,8 @@
 python -m benchmarks.generalisation --data FOLDER [--only NAME ...] [--methods a,b,c] [--out JSON]
 
 FOLDER holds the recordings as docs/datasets.md names them. Every split trains anew, on what it does not test:
-HA4M clip V001 for V002; each Vicon task from the five others; LEGO and KTH from all Vicon tasks. Results are added to
-the JSON file split by split, so that a run can be continued.
+HA4M clip V001 for V002; each Vicon task from the five others; LEGO and KTH from all Vicon tasks, trained once. Results are
+added to the JSON file split by split, so that a run can be continued.
 """
 
 from __future__ import annotations
@@ -12,14 +12,17 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from kinecast.body.limits import JointLimits
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
+from kinecast.prediction.forecast import Method
 from kinecast.prediction.methods import TrainingOptions, limits_of, train
 
 VICON, HA4M, LEGO, KTH = (
@@ -47,23 +50,50 @@ def splits(data: Path) -> dict[str, tuple[list[Recording], list[Recording]]]:
     return found
 
 
-def run(names: list[str], training: list[Recording], tested: list[Recording], samples: int) -> dict[str, object]:
-    """One split: trains, scores, says how long training took."""
-    options = WindowOptions()
-    data = training_windows(training, replace(options, stride=1, whole=False))
+@dataclass(frozen=True)
+class Trained:
+    """Methods trained on some recordings.
+
+    Attributes:
+        on: names of the recordings.
+        methods: by name.
+        limits: found in training.
+        windows: how many.
+        seconds: it took.
+    """
+
+    on: tuple[str, ...]
+    methods: Mapping[str, Method]
+    limits: JointLimits
+    windows: int
+    seconds: float
+
+
+def fit(names: Sequence[str], recordings: Sequence[Recording]) -> Trained:
+    """All methods, trained on every window of some recordings."""
+    data, settings = training_windows(recordings, WindowOptions()), TrainingOptions()
     started = time.perf_counter()
-    settings = TrainingOptions()
     methods = train(names, data, settings)
     seconds = time.perf_counter() - started
+    return Trained(names_of(recordings), methods, limits_of(data, settings), len(data), seconds)
+
+
+def names_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    return tuple(recording.name for recording in recordings)
+
+
+def run(trained: Trained, tested: Sequence[Recording], samples: int) -> dict[str, object]:
+    """One split: scores of methods on recordings they have not seen."""
+    options = WindowOptions()
     parts = list(all_windows(tested, options))
     every = {history.name: history for history in all_windows(tested, every_frame(options))}
     recordings = [
         TestRecording(part.name, observations(part), part.future, part.frames, followed(every[part.name]))
         for part in parts
     ]
-    scores = EvaluationOptions(samples=samples, repeats=0, limits=limits_of(data, settings))
-    results, _ = evaluate(methods, recordings, None, scores)
-    return {"training_windows": len(data), "training_seconds": seconds, **results}
+    scores = EvaluationOptions(samples=samples, repeats=0, limits=trained.limits)
+    results, _ = evaluate(trained.methods, recordings, None, scores)
+    return {"training_windows": trained.windows, "training_seconds": trained.seconds, **results}
 
 
 def main() -> None:
@@ -77,10 +107,13 @@ def main() -> None:
     arguments = parser.parse_args()
     names = arguments.methods.split(",")
     results = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
+    trained: Trained | None = None
     for split, (training, tested) in splits(arguments.data).items():
         if (arguments.only and split not in arguments.only) or split in results:
             continue
-        results[split] = run(names, training, tested, arguments.samples)
+        if trained is None or trained.on != names_of(training):
+            trained = fit(names, training)
+        results[split] = run(trained, tested, arguments.samples)
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(json.dumps(results, indent=1))
         print(line(split, results[split]), flush=True)

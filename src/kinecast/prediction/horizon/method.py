@@ -287,17 +287,18 @@ class Horizon:
             )
         forecast = Forecast(
             motions,
-            motions.mean(axis=0),
+            means.mean,
             WorldDensity(observation, ScaleMixtureDensity(mean, factor, self.spread.weights, allowance)),
             np.ones(self.steps),
             samples,
             {"learned_share": means.learned},
         )
-        if self.limits is not None and scene is not None:
-            forecast = within_scene(forecast, observation, rng, scene)
-        # The samples' own mean is noisy; only what the constraints moved is taken from it.
-        unmoved = observation.to_world(mean + factor @ draws.mean(axis=1))
-        return replace(forecast, mean=means.mean + (forecast.mean - unmoved))
+        if self.limits is None or scene is None:
+            return forecast
+        # The samples' own mean is noisy; only what the scene moved is taken from it.
+        before = motions.mean(axis=0)
+        kept = within_scene(replace(forecast, mean=before), observation, rng, scene)
+        return replace(kept, mean=means.mean + (kept.mean - before))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""
