@@ -113,7 +113,7 @@ def assert_nothing_violated(
     forecast = method.forecast(seen, np.random.default_rng(0), SAMPLES, scene)
     assert np.isfinite(forecast.samples).all()
     initial = postures_from_points(seen.points, continuous=True)[-1]
-    postures = postures_from_points(seen.to_torso(forecast.samples), initial, continuous=True)
+    postures = postures_from_points(seen.to_torso(forecast.samples), initial, continuous=True, usual=False)
     # What the positions say: the sampler's own angles, unless an arm is straight out sideways, where flexion and
     # rotation turn about one axis and no position tells them apart.
     position, speed = violations(postures, initial, seen.dt, held)

@@ -18,7 +18,7 @@ from kinecast.body.arm_angles import USUAL_RANGE
 from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM
 from kinecast.errors import OptionError
 
-__all__ = ["AngleLimit", "JointLimits", "bounds", "speeds_within_wrist_speed", "violations"]
+__all__ = ["AngleLimit", "JointLimits", "bounds", "posture_bounds", "speeds_within_wrist_speed", "violations"]
 
 TOLERANCE = 1e-9
 """An angle this far [rad] outside its limit still counts as inside: round-off of FK and IK."""
@@ -151,6 +151,15 @@ class JointLimits:
         upper[places] = np.tile(self.upper[:4], 2)
         speed[places] = np.tile(self.speed[:4], 2)
         return lower, upper, speed
+
+
+def posture_bounds(
+    limits: JointLimits | None,
+) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"], Float[np.ndarray, "18"], float]:
+    """Lower, upper [rad], speed [rad/s] of a posture and the wrist's speed [m/s]; infinite without limits."""
+    if limits is None:
+        return np.full(18, -np.inf), np.full(18, np.inf), np.full(18, np.inf), np.inf
+    return *limits.of_posture(), np.inf if limits.wrist_speed is None else limits.wrist_speed
 
 
 @njit(cache=True)

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from kinecast.errors import ModelError
 from kinecast.prediction.arrays import shaped
+from kinecast.prediction.mixer import mixer_from_arrays
 
 __all__ = [
     "LinearMap",
@@ -99,6 +100,8 @@ def mean_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, 
     Raises:
         ModelError: arrays of no known mean model, or of another shape.
     """
+    if "gain" in arrays:
+        return mixer_from_arrays(arrays, frames, steps, size)
     if "weights" in arrays:
         return WindowFilter(shaped(arrays, "weights", steps, frames))
     if {"centre", "scale", "matrix"} <= set(arrays):
@@ -109,7 +112,9 @@ def mean_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, 
         return LinearMap(
             shaped(arrays, "centre", features), scale, shaped(arrays, "matrix", features + 1, steps * size)
         )
-    raise ModelError(f"mean model with arrays {sorted(arrays)}; expected weights, or centre, scale and matrix")
+    raise ModelError(
+        f"mean model with arrays {sorted(arrays)}; expected weights, or centre, scale and matrix, or those of a mixer"
+    )
 
 
 def zero_velocity(frames: int, steps: int) -> WindowFilter:

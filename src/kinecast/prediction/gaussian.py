@@ -7,13 +7,13 @@ the constraint stage can act. Any mean model (kinecast.prediction.baselines) fit
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from kinecast.body.limits import JointLimits
+from kinecast.body.limits import JointLimits, posture_bounds
 from kinecast.body.posture import (
     coordinates_from_postures,
     points_from_postures,
@@ -25,7 +25,9 @@ from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.arrays import covariance_factor
 from kinecast.prediction.baselines import MeanModel, mean_from_arrays
 from kinecast.prediction.density import JOINT_ORDER, CoordinateGaussianDensity, PositionGaussianDensity
+from kinecast.prediction.draws import normals
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
+from kinecast.prediction.motions import draw_motions
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import roll_gaussian
@@ -73,15 +75,6 @@ def with_noise(cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"
     return np.linalg.cholesky(cholesky @ cholesky.T + shared)
 
 
-def posture_bounds(
-    limits: JointLimits | None,
-) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"], Float[np.ndarray, "18"], float]:
-    """Lower, upper [rad], speed [rad/s] of a posture and the wrist's speed [m/s]; infinite without limits."""
-    if limits is None:
-        return np.full(18, -np.inf), np.full(18, np.inf), np.full(18, np.inf), np.inf
-    return *limits.of_posture(), np.inf if limits.wrist_speed is None else limits.wrist_speed
-
-
 def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, "18"]) -> Float[np.ndarray, "T 18 18"]:
     """Cholesky factor of each step's marginal covariance, coordinates reordered."""
     rows = cholesky.reshape(-1, 18, cholesky.shape[1])[:, order]
@@ -90,13 +83,20 @@ def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, "18
 
 @dataclass(frozen=True)
 class PositionGaussian:
-    """A Gaussian over the joints' positions in the torso frame; knows nothing of joints' limits or the scene."""
+    """A Gaussian over the joints' positions in the torso frame, free or held inside joint limits and scene.
+
+    Attributes:
+        noise: spread of a measured joint about the true one [m], for the density of measurements.
+        limits: range and speed of the arm's angles; None leaves the Gaussian as it is and disregards the scene.
+    """
 
     frames: int
     steps: int
     dt: float
     mean_model: MeanModel
     cholesky: Float[np.ndarray, "K K"]
+    noise: float = 0.0
+    limits: JointLimits | None = None
 
     @staticmethod
     def fit(fit: Fit, windows: TrainingWindows) -> PositionGaussian:
@@ -117,37 +117,58 @@ class PositionGaussian:
     def _step_cholesky(self) -> Float[np.ndarray, "T 18 18"]:
         return _step_factors(self.cholesky, POSITION_ORDER)
 
+    def with_limits(self, limits: JointLimits, noise: float) -> PositionGaussian:
+        """The same Gaussian, constrained."""
+        return replace(self, limits=limits, noise=noise)
+
     def forecast(
         self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
     ) -> Forecast:
-        """See kinecast.prediction.forecast.Method; the scene is disregarded."""
-        del scene
+        """See kinecast.prediction.forecast.Method; without limits the scene is disregarded."""
         window = observation.points.reshape(1, self.frames, 18)
         mean = self.mean_model.mean(window)[0].reshape(self.steps, 6, 3)
         cholesky, step_cholesky = self.cholesky, self._step_cholesky
         if observation.noise.any():
             cholesky = with_noise(cholesky, np.repeat(observation.noise, 3))
             step_cholesky = _step_factors(cholesky, POSITION_ORDER)
-        errors = rng.standard_normal((samples, len(cholesky))) @ cholesky.T
-        points = mean + errors.reshape(samples, self.steps, 6, 3)
-        density = PositionGaussianDensity(mean, step_cholesky)
-        return Forecast(
-            observation.to_world(points),
+        draws = normals(rng, len(cholesky), samples)
+        factor = cholesky.reshape(self.steps, 6, 3, -1)
+        initial = postures_from_points(observation.points, continuous=True)[-1]
+        motions = draw_motions(mean, factor, draws, rng, initial, self.limits, self.dt, *observation.frame)
+        allowance = None
+        if self.limits is not None:
+
+            def free() -> Float[np.ndarray, "S T 6 3"]:
+                return mean + (cholesky @ draws).T.reshape(samples, self.steps, 6, 3)
+
+            allowance = Allowance(free, observation, initial, self.limits, scene, self.noise)
+        forecast = Forecast(
+            motions,
             observation.to_world(mean),
-            WorldDensity(observation, density),
+            WorldDensity(observation, PositionGaussianDensity(mean, step_cholesky, allowance)),
             np.ones(self.steps),
             samples,
         )
+        if self.limits is None or scene is None:
+            return forecast
+        return within_scene(forecast, observation, rng, scene)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""
         return {**self.mean_model.to_arrays(), "cholesky": self.cholesky}
 
     @staticmethod
-    def from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float) -> PositionGaussian:
+    def from_arrays(
+        arrays: Mapping[str, np.ndarray],
+        frames: int,
+        steps: int,
+        dt: float,
+        noise: float = 0.0,
+        limits: JointLimits | None = None,
+    ) -> PositionGaussian:
         """The method that `to_arrays` described."""
-        mean_model = mean_from_arrays(arrays, frames, steps, 18)
-        return PositionGaussian(frames, steps, dt, mean_model, covariance_factor(arrays, "cholesky", 18 * steps))
+        cholesky = covariance_factor(arrays, "cholesky", 18 * steps)
+        return PositionGaussian(frames, steps, dt, mean_from_arrays(arrays, frames, steps, 18), cholesky, noise, limits)
 
 
 def posture_coordinates(
@@ -207,19 +228,19 @@ class PostureGaussian:
         if observation.noise.any():
             cholesky = with_noise(cholesky, coordinate_noise(track[-1], observation.noise))
             step_cholesky = _step_factors(cholesky, np.arange(18))
-        normals = rng.standard_normal((samples, len(cholesky)))
+        draws = rng.standard_normal((samples, len(cholesky)))
         uniforms = rng.random((samples, self.steps, 8))
-        postures = roll_gaussian(mean, cholesky, track[-1], normals, uniforms, *posture_bounds(self.limits), self.dt)
+        postures = roll_gaussian(mean, cholesky, track[-1], draws, uniforms, *posture_bounds(self.limits), self.dt)
         points = points_from_postures(postures)
         centre = points_from_postures(postures_from_coordinates(mean))
         allowance = None
         if self.limits is not None:
 
-            def draws() -> Float[np.ndarray, "S T 6 3"]:
-                free = mean + (normals @ cholesky.T).reshape(samples, self.steps, 18)
+            def free_poses() -> Float[np.ndarray, "S T 6 3"]:
+                free = mean + (draws @ cholesky.T).reshape(samples, self.steps, 18)
                 return points_from_postures(postures_from_coordinates(free))
 
-            allowance = Allowance(draws, observation, track[-1], self.limits, scene, self.noise)
+            allowance = Allowance(free_poses, observation, track[-1], self.limits, scene, self.noise)
         density = CoordinateGaussianDensity(mean, step_cholesky, centre, allowance)
         forecast = Forecast(
             observation.to_world(points),

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.distance import cdist
 
 from kinecast.errors import OptionError
 
@@ -36,5 +35,7 @@ class RBF:
 
     def __call__(self, x: Float[np.ndarray, "N D"], z: Float[np.ndarray, "M D"]) -> Float[np.ndarray, "N M"]:
         """(N, M) covariances of every x with every z."""
+        from scipy.spatial.distance import cdist  # here, since only training needs it and it is slow to import
+
         squared = cdist(x / self.lengthscales, z / self.lengthscales, "sqeuclidean")
         return self.signal_variance * np.exp(-0.5 * squared)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from kinecast.prediction.forecast import Method
 from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian
 from kinecast.prediction.horizon.method import horizon_from_arrays
 from kinecast.prediction.horizon.training import HorizonOptions, fit_horizon
+from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
@@ -47,6 +49,8 @@ METHODS: Mapping[str, str] = {
     "gp_xyz": "the paper's: one sparse GP per position coordinate",
     "gp_angles": "the paper's: one sparse GP per joint angle",
     "gp_constrained": "the paper's: the same, inside joint limits and scene",
+    "mixer": "a small neural forecaster in the manner of siMLPe, its errors' covariance around it",
+    "mixer_constrained": "the same, inside joint limits and scene",
     "kinecast": "the project's own: experts mixed online, calibrated, inside joint limits and scene",
 }
 """Every method and what it does."""
@@ -68,6 +72,7 @@ class TrainingOptions:
         pseudo_inputs: M of each sparse GP.
         points: most windows a sparse GP is trained on.
         iterations: of the GP's marginal likelihood maximisation.
+        descent: steps of it, for the neural forecaster.
     """
 
     limits: JointLimits = field(default_factory=JointLimits)
@@ -75,6 +80,7 @@ class TrainingOptions:
     pseudo_inputs: int = 16
     points: int = 2000
     iterations: int = 100
+    descent: int = 1500
 
 
 def train(
@@ -99,18 +105,22 @@ def train(
     limits = limits_of(windows, options)
     trained: dict[str, Method] = {}
     angles: PostureSeries | None = None
+    mixer: PositionGaussian | None = None
     for name in names:
         if name == "gp_xyz":
             trained[name] = PositionSeries.fit(windows, options, progress)
         elif name in ("gp_angles", "gp_constrained"):
             angles = angles or PostureSeries.fit(windows, options, noise, progress)
             trained[name] = angles.with_limits(limits if name == "gp_constrained" else None)
+        elif name in ("mixer", "mixer_constrained"):
+            mixer = mixer or PositionGaussian.fit(_fit("mixer", windows, options), windows)
+            trained[name] = mixer if name == "mixer" else mixer.with_limits(limits, noise)
         elif name == "kinecast":
             own = HorizonOptions(seed=options.seed)
             trained[name] = fit_horizon(windows, limits, noise, own, progress)
         else:
             base, _, space = name.partition("_") if name.endswith(("_angles", "_constrained")) else (name, "", "")
-            fit = _fit(base, windows)
+            fit = _fit(base, windows, options)
             if space:
                 held = limits if space == "constrained" else None
                 trained[name] = PostureGaussian.fit(fit, windows, noise, held)
@@ -156,7 +166,7 @@ def check_names(names: Sequence[str]) -> None:
         raise OptionError(f"unknown method {', '.join(unknown) or '(none)'}; methods are {', '.join(METHODS)}")
 
 
-def _fit(base: str, windows: TrainingWindows) -> Fit:
+def _fit(base: str, windows: TrainingWindows, options: TrainingOptions) -> Fit:
     """How the mean model of a baseline is fitted."""
     frames, steps = windows.observed.shape[1], windows.future.shape[1]
     fits: dict[str, Fit] = {
@@ -165,6 +175,7 @@ def _fit(base: str, windows: TrainingWindows) -> Fit:
         "damped_velocity": lambda w, f, _folds: damped_velocity(w, f, windows.dt),
         "kalman": lambda w, f, _folds: kalman(w, f),
         "ridge": fit_ridge,
+        "mixer": partial(fit_mixer, steps=options.descent, seed=options.seed),
     }
     return fits[base]
 
@@ -198,6 +209,8 @@ def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method:
         return PositionSeries.from_arrays(arrays, *shape)
     if card.method in ("gp_angles", "gp_constrained"):
         return PostureSeries.from_arrays(arrays, *shape, card.noise, limits)
+    if card.method.startswith("mixer"):
+        return PositionGaussian.from_arrays(arrays, *shape, card.noise, limits)
     if card.method.endswith(("_angles", "_constrained")):
         return PostureGaussian.from_arrays(arrays, *shape, card.noise, limits)
     return PositionGaussian.from_arrays(arrays, *shape)

@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.body.limits import JointLimits
+from kinecast.body.limits import JointLimits, posture_bounds
 from kinecast.body.placement import placed
 from kinecast.body.posture import coordinates_from_postures, postures_from_points
 from kinecast.errors import ModelError
@@ -23,7 +23,7 @@ from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.arrays import shaped
 from kinecast.prediction.draws import normals, uniforms
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
-from kinecast.prediction.gaussian import posture_bounds, posture_coordinates
+from kinecast.prediction.gaussian import posture_coordinates
 from kinecast.prediction.mixture_density import PositionSeriesDensity, PostureSeriesDensity
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from kinecast.errors import MissingExtraError, OptionError
 from kinecast.prediction.kernels import RBF
@@ -214,6 +213,8 @@ def _maximise(
         done += 1
         if progress is not None:
             progress(done, iterations)
+
+    from scipy.optimize import minimize  # here, since predicting does without and it is slow to import
 
     ranges = [LENGTHSCALES] * x.shape[1] + [SIGNAL_VARIANCES, NOISE_VARIANCES]
     bounds: list[tuple[float | None, float | None]] = [(math.log(least), math.log(most)) for least, most in ranges]

@@ -16,7 +16,8 @@ from kinecast.prediction.forecast import Method
 from kinecast.prediction.methods import METHODS, TrainingOptions, train
 from kinecast.prediction.observation import Observation, TrainingWindows
 
-OPTIONS = TrainingOptions(pseudo_inputs=8, iterations=10, points=200)
+OPTIONS = TrainingOptions(pseudo_inputs=8, iterations=10, points=200, descent=20)
+OWN = ("kinecast", "mixer", "mixer_constrained")
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -45,8 +46,8 @@ def options() -> TrainingOptions:
 
 @pytest.fixture(scope="session")
 def trained(windows: TrainingWindows) -> dict[str, Method]:
-    """Every method but the horizon model, which has tests of its own."""
-    return train([name for name in METHODS if name != "kinecast"], windows, OPTIONS)
+    """Every method but the horizon model and the neural forecaster, which have tests of their own."""
+    return train([name for name in METHODS if name not in OWN], windows, OPTIONS)
 
 
 @pytest.fixture(scope="session")

@@ -146,7 +146,7 @@ def test_constrained_samples_violate_nothing_counted_from_their_positions(
     assert (np.diff(forecast.accepted) <= 0).all()
     assert forecast.accepted[-1] == pytest.approx(forecast.distinct / SAMPLES)
     initial = postures_from_points(posed.points, continuous=True)[-1]
-    postures = postures_from_points(posed.to_torso(forecast.samples), initial, continuous=True)
+    postures = postures_from_points(posed.to_torso(forecast.samples), initial, continuous=True, usual=False)
     position, speed = violations(postures, initial, posed.dt, limits)
     assert not position.any()
     assert not speed.any()
@@ -154,7 +154,7 @@ def test_constrained_samples_violate_nothing_counted_from_their_positions(
     np.testing.assert_allclose(forecast.mean, forecast.samples.mean(axis=0), atol=1e-12)
     # The same method without its constraints breaks them: they are what made the difference.
     free = replace(method, limits=None).forecast(posed, np.random.default_rng(8), SAMPLES, scene)
-    postures = postures_from_points(posed.to_torso(free.samples), initial, continuous=True)
+    postures = postures_from_points(posed.to_torso(free.samples), initial, continuous=True, usual=False)
     assert violations(postures, initial, posed.dt, limits)[0].mean() > 0.1
     assert not scene.free(free.samples, posed.times(method.steps)).all()
 

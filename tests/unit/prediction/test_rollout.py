@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kinecast.body.limits import AngleLimit, JointLimits, bounds, violations
+from kinecast.body.limits import AngleLimit, JointLimits, bounds, posture_bounds, violations
 from kinecast.body.posture import ANGLES, coordinates_from_postures, postures_from_points
 from kinecast.prediction.forecast import Method
-from kinecast.prediction.gaussian import posture_bounds
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.rollout import UNIFORM, polar, roll_gaussian, roll_positions, roll_series
 

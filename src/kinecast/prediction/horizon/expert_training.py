@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.prediction.horizon.descent import descend
+from kinecast.prediction.descent import descend
 from kinecast.prediction.horizon.features import FeatureScale, arm_views, time_basis
 from kinecast.prediction.horizon.learned import COMPONENTS, Network, RadialBasis, kernel_inputs
 from kinecast.prediction.training import centres

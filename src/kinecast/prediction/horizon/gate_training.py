@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.prediction.horizon.descent import descend
+from kinecast.prediction.descent import descend
 from kinecast.prediction.horizon.gate import JOINT_TYPE, Gate, step_basis
 
 __all__ = ["fit_gate"]

@@ -21,7 +21,6 @@ from kinecast.geometry.scene import Scene
 from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.draws import normals
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
-from kinecast.prediction.gaussian import posture_bounds
 from kinecast.prediction.horizon.calibration import LEVEL, AdaptiveScale
 from kinecast.prediction.horizon.density import ScaleMixtureDensity
 from kinecast.prediction.horizon.features import arm_views, yaw_frame
@@ -37,9 +36,8 @@ from kinecast.prediction.horizon.gate import (
 )
 from kinecast.prediction.horizon.learned import Expert, expert_from_arrays, forecast
 from kinecast.prediction.horizon.memory import DueErrors
-from kinecast.prediction.horizon.motions import draw_motions
 from kinecast.prediction.horizon.spread import SCALES, Spread, mixture_radius, spread_features
-from kinecast.prediction.noise import angle_noise
+from kinecast.prediction.motions import draw_motions
 from kinecast.prediction.observation import Observation
 
 __all__ = ["Horizon", "Means", "Memory", "Mixture", "horizon_from_arrays"]
@@ -262,19 +260,7 @@ class Horizon:
         draws = normals(rng, factor.shape[-1], samples)
         draws *= common_factors(self.spread.weights, samples, rng)
         initial = postures_from_points(observation.points, continuous=True)[-1]
-        centre = postures_from_points(mean, initial, continuous=True, usual=False)
-        motions = draw_motions(
-            mean,
-            factor,
-            draws,
-            int(rng.integers(2**63)),
-            centre,
-            _posture_spread(centre, np.sqrt((factor**2).sum(axis=-1).mean(axis=-1))),
-            initial,
-            *posture_bounds(self.limits),
-            self.dt,
-            *observation.frame,
-        )
+        motions = draw_motions(mean, factor, draws, rng, initial, self.limits, self.dt, *observation.frame)
         allowance = None
         if self.limits is not None:
             allowance = Allowance(
@@ -314,14 +300,6 @@ def common_factors(weights: Float[np.ndarray, " K"], samples: int, rng: np.rando
     """(S,) draws of the common factor: as near to its weights as S allows."""
     places = (np.arange(samples) + rng.random()) / samples
     return SCALES[np.minimum(np.searchsorted(np.cumsum(weights), places), len(SCALES) - 1)]
-
-
-def _posture_spread(centre: Float[np.ndarray, "T 18"], spread: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "T 18"]:
-    """(T, 18) spread of each arm angle, to first order, from that of the joints [m]; 0 for the rest."""
-    result = np.zeros_like(centre)
-    for first, at in ((0, 6), (3, 12)):
-        result[:, at : at + 4] = angle_noise(centre[:, at : at + 6], spread[:, first : first + 3])
-    return result
 
 
 def horizon_from_arrays(

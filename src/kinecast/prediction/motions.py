@@ -16,9 +16,10 @@ from numba import njit, prange
 
 from kinecast.body.arm_angles import UNDEFINED, nearest_turn
 from kinecast.body.elementary import arctangent, sine_cosine
-from kinecast.body.limits import bounds, speeds_within_wrist_speed
-from kinecast.body.posture import points_of_posture, posture_of_points
+from kinecast.body.limits import JointLimits, bounds, posture_bounds, speeds_within_wrist_speed
+from kinecast.body.posture import points_of_posture, posture_of_points, postures_from_points
 from kinecast.prediction.draws import hashed_uniform
+from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.truncated_normal import sample
 
 __all__ = ["draw_motions"]
@@ -41,14 +42,9 @@ def draw_motions(
     mean: Float[np.ndarray, "T 6 3"],
     factor: Float[np.ndarray, "T 6 3 R"],
     draws: Float[np.ndarray, "R S"],
-    seed: int,
-    centre: Float[np.ndarray, "T 18"],
-    spread: Float[np.ndarray, "T 18"],
+    rng: np.random.Generator,
     initial: Float[np.ndarray, "18"],
-    lower: Float[np.ndarray, "18"],
-    upper: Float[np.ndarray, "18"],
-    speed: Float[np.ndarray, "18"],
-    wrist_speed: float,
+    limits: JointLimits | None,
     dt: float,
     rotation: Float[np.ndarray, "3 3"],
     origin: Float[np.ndarray, "3"],
@@ -63,39 +59,39 @@ def draw_motions(
         mean: (T, 6, 3) in the torso frame [m].
         factor: (T, 6, 3, R) of the covariance [m].
         draws: (R, S) of the factor's coordinates.
-        seed: of the numbers by which angles are drawn anew, 0 … 2^63.
-        centre: (T, 18) posture of the mean motion.
-        spread: (T, 18) spread of each angle about it [rad].
+        rng: for what is drawn anew.
         initial: (18,) last observed posture.
-        lower, upper: (18,) range of a posture [rad]; infinite where free.
-        speed: (18,) greatest speeds [rad/s]; infinite where free.
-        wrist_speed: greatest speed of a wrist relative to the torso [m/s]; infinite for none.
+        limits: of the arm's angles; None leaves every motion as it is.
         dt: time step [s].
         rotation, origin: of the torso frame in the world.
 
     Returns:
         (S, T, 6, 3) positions in the world [m].
     """
-    steps = len(mean)
-    bounded = bool(np.isfinite(speed).any() or np.isfinite(lower).any() or np.isfinite(upper).any())
-    padding = -len(draws) % STRIP
+    steps, padding = len(mean), -len(draws) % STRIP
+    centre = postures_from_points(mean, initial, continuous=True, usual=False)
     return _motions(
         mean.reshape(steps, 18),
         np.pad(factor.reshape(18 * steps, -1), ((0, 0), (0, padding))),
         np.pad(draws, ((0, padding), (0, 0))),
-        bounded,
-        np.uint64(seed),
+        limits is not None,
+        np.uint64(rng.integers(2**63)),
         centre,
-        spread,
+        _posture_spread(centre, np.sqrt((factor**2).sum(axis=-1).mean(axis=-1))),
         initial,
-        lower,
-        upper,
-        speed,
-        wrist_speed,
+        *posture_bounds(limits),
         dt,
         rotation,
         origin,
     )
+
+
+def _posture_spread(centre: Float[np.ndarray, "T 18"], spread: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "T 18"]:
+    """(T, 18) spread of each arm angle, to first order, from that of the joints [m]; 0 for the rest."""
+    result = np.zeros_like(centre)
+    for first, at in ((0, 6), (3, 12)):
+        result[:, at : at + 4] = angle_noise(centre[:, at : at + 6], spread[:, first : first + 3])
+    return result
 
 
 @njit(cache=True, parallel=True)
