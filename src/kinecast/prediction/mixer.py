@@ -109,8 +109,8 @@ def fit_mixer(
     found = descend(
         _loss, start, (x, target / unit), steps=steps, batch=128, rate=2e-3, decay=1e-4, second=0.999, seed=seed
     )
-    *inner, V, v = found
-    return Mixer(scale, *inner, unit * V, unit * v)
+    W, b, A, a, gain, shift, O, V, v = found  # noqa: E741
+    return Mixer(scale, W, b, A, a, gain, shift, O, unit * V, unit * v)
 
 
 def _inputs(windows: Float[np.ndarray, "W N D"]) -> Float[np.ndarray, "W N D2"]:
