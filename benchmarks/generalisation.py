@@ -3,8 +3,8 @@
 python -m benchmarks.generalisation --data FOLDER [--only NAME ...] [--methods a,b,c] [--out JSON]
 
 FOLDER holds the recordings as docs/datasets.md names them. Every split trains anew, on what it does not test:
-HA4M clip V001 for V002; each Vicon task from the five others; LEGO and KTH from all Vicon tasks, trained once. Results are
-added to the JSON file split by split, so that a run can be continued.
+HA4M clip V001 for V002; each Vicon task from the five others; LEGO and KTH from all Vicon tasks, trained once. Results
+are added to the JSON file split by split, so that a run can be continued.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What goes through kinecast: a skeleton frame comes in, a prediction goes out. Read this file first."""
+"""What goes through kinecast: a frame comes in, a prediction goes out, a robot decides. Read this file first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,18 @@ from jaxtyping import Bool, Float
 
 from kinecast.errors import OptionError
 
-__all__ = ["LIMBS", "Density", "Obstacle", "Prediction", "SkeletonFrame", "Status", "Tubes"]
+__all__ = [
+    "LIMBS",
+    "Decision",
+    "Density",
+    "Obstacle",
+    "Prediction",
+    "Reaction",
+    "RobotState",
+    "SkeletonFrame",
+    "Status",
+    "Tubes",
+]
 
 LIMBS = ((0, 1), (1, 2), (3, 4), (4, 5))
 """Limbs as (start, end) columns of the six arm joints: left upper arm, left forearm, right upper arm, right forearm."""
@@ -167,6 +178,58 @@ class Prediction:
         reach = np.maximum(np.linalg.norm(start - centre_start, axis=-1), np.linalg.norm(end - centre_end, axis=-1))
         radius = np.quantile(reach, level, axis=0, method="higher")
         return Tubes(self.times, centre_start, centre_end, radius, level)
+
+
+class RobotState(Enum):
+    """What the robot is doing."""
+
+    MOVING = "On its way at full speed."
+    GRASPING = "Taking a cube."
+    PLACING = "Putting a cube down."
+    SLOWED = "On its way, slower than it could: a person is near or about to be."
+    WAITING = "Standing until there is something it may do."
+    REPLANNING = "Slowing down while another path is sought."
+    STOPPED = "Held by the safety distance, or because nobody knows where the person is."
+    DONE = "Every cube is in its place, or given up."
+
+
+class Reaction(Enum):
+    """What the robot changed because of a prediction."""
+
+    GO_AROUND = "Same cube, another path, around where the person will be."
+    TAKE_ANOTHER = "Another cube first: the person is about to take the next one."
+    CHANGE_CUBE = "Another cube and another path in mid-motion: the person is about to take this one."
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the robot does from this instant on, and why.
+
+    Attributes:
+        stamp: when it was taken [s], on the clock of the frames.
+        state: what the robot does.
+        reason: why, in words.
+        target: the cube it is after, or None.
+        reaction: what it changed; None where it goes on as before.
+        speed: share of the planned speed, 0..1.
+        distance: measured distance from the arm to the nearest person [m]; inf without one.
+        separation: the distance that speed and separation monitoring asks for at this speed [m].
+        overlap: probability that the person enters the arm's path within the prediction's horizon.
+        taken: per cube, the probability that the person reaches for it.
+        basis: stamp of the newest frame it rests on [s].
+    """
+
+    stamp: float
+    state: RobotState
+    reason: str
+    target: str | None = None
+    reaction: Reaction | None = None
+    speed: float = 1.0
+    distance: float = float("inf")
+    separation: float = 0.0
+    overlap: float = 0.0
+    taken: Mapping[str, float] = field(default_factory=dict)
+    basis: float = float("-inf")
 
 
 def _limbs(

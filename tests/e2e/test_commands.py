@@ -6,6 +6,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -235,6 +236,24 @@ class TestEvaluate:
         assert list(scores(tmp_path / "results")["methods"]) == ["zero_velocity #1", "zero_velocity #2"]
         assert "trained on recordings of these names" in outcome.err
         assert "synthetic/pick_and_place/1-0" in outcome.err
+
+    @pytest.mark.usefixtures("no_drawing")
+    def test_taken_apart_stage_by_stage(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
+    ) -> None:
+        shipped = resources.files("kinecast") / "data" / "models" / "kinecast.npz"
+        options = ("--test", tables[1], "--ablate", "--stride", 30, "--samples", 50, "--repeats", 0)
+        assert kinecast("evaluate", "--model", shipped, "--out", tmp_path / "whole", *options).code == 0
+        methods = scores(tmp_path / "whole")["methods"]
+        assert list(methods)[-1] == "kinecast"
+        errors = {name.removeprefix("kinecast, "): each["mpjpe_mm"] for name, each in methods.items()}
+        assert {"no gate", "no guard", "no following", "no network", "no radial basis"} < set(errors)
+        assert all(errors[name] != errors["kinecast"] for name in ("no gate", "no following", "no network"))
+        assert methods["kinecast, no limits, no scene"]["mpjpe_mm"] == methods["kinecast"]["mpjpe_mm"]
+        nothing = kinecast("evaluate", "--model", model, "--out", tmp_path / "none", *options)
+        assert nothing.code == 2
+        assert "kinecast" in nothing.err
+        assert not (tmp_path / "none").exists()
 
     @pytest.mark.usefixtures("no_drawing")
     def test_test_recordings_are_left_out_of_training(

@@ -16,6 +16,7 @@ from kinecast.cli.evaluate import evaluate
 from kinecast.cli.info import info
 from kinecast.cli.predict import predict
 from kinecast.cli.progress import note
+from kinecast.cli.simulate import simulate
 from kinecast.cli.train import train
 from kinecast.errors import KinecastError
 
@@ -28,6 +29,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": train,
     "evaluate": evaluate,
     "predict": predict,
+    "simulate": simulate,
 }
 
 BAD_INPUT = 2

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 from kinecast import __version__
 from kinecast.cli.destination import check_folder
 from kinecast.cli.options import Folder
 from kinecast.cli.progress import progress_bar
+from kinecast.cli.simulate import simulate
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.protocol import EvaluationOptions
@@ -18,10 +20,14 @@ from kinecast.prediction.methods import shipped_methods
 __all__ = ["demo"]
 
 SEED = 7
+ROBOT = ("pinocchio", "coal", "ompl", "ruckig")
+"""What the simulated arm needs: the extra `robot`."""
 
 
 def demo(out: Folder = Path("kinecast-demo")) -> None:
     """Generates people at a table, predicts their arms, scores it, draws it, and says where it all is.
+
+    With the extra `robot` an arm then works beside them, in the paper's three scenarios.
 
     Args:
         out: folder for the report and the pictures.
@@ -52,3 +58,5 @@ def demo(out: Folder = Path("kinecast-demo")) -> None:
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")
     print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")
+    if all(find_spec(name) for name in ROBOT):
+        simulate(out=out / "robot")

@@ -34,7 +34,7 @@ try:
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
 
-__all__ = ["animate_motion", "animate_prediction"]
+__all__ = ["animate_motion", "animate_prediction", "write_gif"]
 
 SLOWER = 3.0
 """One prediction is played so many times slower than life."""
@@ -70,7 +70,7 @@ def animate_prediction(path: Path, moment: Moment, scene: Scene | None = None, t
             yield figure
 
     slow = SLOWER * moment.dt
-    _write(path, figures(), [slow] * (seen - 1) + [6 * slow] + [slow] * (steps - 1) + [12 * slow])
+    write_gif(path, figures(), [slow] * (seen - 1) + [6 * slow] + [slow] * (steps - 1) + [12 * slow])
 
 
 def animate_motion(path: Path, moments: Sequence[Moment], scene: Scene | None = None, title: str = "") -> None:
@@ -97,7 +97,7 @@ def animate_motion(path: Path, moments: Sequence[Moment], scene: Scene | None = 
             fit([axes], [camera], around)
             yield figure
 
-    _write(path, figures(), [between] * len(moments))
+    write_gif(path, figures(), [between] * len(moments))
 
 
 def _stage(title: str, horizon: float, now: float | None = None) -> tuple[Figure, Axes]:
@@ -113,7 +113,7 @@ def _stage(title: str, horizon: float, now: float | None = None) -> tuple[Figure
     return figure, axes
 
 
-def _write(path: Path, figures: Iterable[Figure], seconds: Sequence[float]) -> None:
+def write_gif(path: Path, figures: Iterable[Figure], seconds: Sequence[float]) -> None:
     """Write figures as a looping GIF, smaller where that is needed to stay under the largest size."""
     with mpl.rc_context(STYLE):
         pictures = [_pixels(figure) for figure in figures]

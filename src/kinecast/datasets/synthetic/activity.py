@@ -13,7 +13,7 @@ from kinecast.datasets.synthetic.paths import PEAK, Path, Sway
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 
-__all__ = ["TASKS", "Actor"]
+__all__ = ["LEFT", "RIGHT", "TASKS", "Actor"]
 
 TASKS = ("pick_and_place", "carrying", "reaching")
 
@@ -60,6 +60,20 @@ class Actor:
         self._pause(0.2, 1.0)
         while self._now < duration:
             step()
+
+    def fetch(self, start: float, place: Point, hand: int, hold: float) -> None:
+        """Reach for a place, stay there, and draw back.
+
+        Args:
+            start: of the reach [s]; later if the last movement has not ended.
+            place: (3,) of the wrist [m].
+            hand: LEFT or RIGHT.
+            hold: how long to stay [s].
+        """
+        self._now = max(self._now, start)
+        self._reach({hand: place}, ("Re", "Pi"))
+        self._dwell("Pi", hold, hold)
+        self._reach({hand: self._rest(hand)}, ("Re", "Re"))
 
     def joints(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 10 3"]:
         """(N, 10, 3) true joint positions [m] at times [s], in the order of `body.JOINTS`."""

@@ -1,0 +1,159 @@
+"""`kinecast simulate`: an arm picks and places three cubes beside a person."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+from kinecast import __version__
+from kinecast.cli.destination import check_folder
+from kinecast.cli.options import Folder, check_seed
+from kinecast.cli.recordings import read_recordings
+from kinecast.errors import OptionError
+
+if TYPE_CHECKING:
+    from kinecast.evaluation.outcome import Outcome
+    from kinecast.robot.episode import Episode
+    from kinecast.types import Decision
+
+__all__ = ["simulate"]
+
+SYNTHETIC = "synthetic"
+
+ScenarioName = Annotated[
+    str,
+    arg(
+        metavar="NAME",
+        help="avoid: the same cube, around the person; reorder: another cube first; replan: another in mid-motion; "
+        "all: one after the other.",
+    ),
+]
+PredictorName = Annotated[
+    str,
+    arg(
+        metavar="NAME",
+        help="kinecast, gp_constrained, zero_velocity: shipped models; reachable: all the person can reach; "
+        "oracle: what will happen; none: measured distances alone.",
+    ),
+]
+PersonName = Annotated[str, arg(metavar="synthetic|PATH", help="a generated person, or a recording that is played.")]
+
+
+def simulate(
+    scenario: ScenarioName = "all",
+    person: PersonName = SYNTHETIC,
+    predictor: PredictorName = "kinecast",
+    seed: int = 0,
+    samples: int = 200,
+    out: Folder = Path("kinecast-simulate"),
+) -> None:
+    """Simulates a UR5 that picks and places a red, a green and a blue cube at a table shared with a person.
+
+    Args:
+        scenario: what the person does.
+        person: who comes.
+        predictor: what predicts the person.
+        seed: of the person and the camera; the same seed gives the same episode.
+        samples: motions drawn per prediction.
+        out: folder for episode.json, storyboard.png, and a GIF and a timeline of each scenario.
+    """
+    from kinecast.evaluation.collaboration import SCENARIOS  # here, since robot and drawing are extras
+
+    check_seed(seed)
+    check_folder(out)
+    names = tuple(SCENARIOS) if scenario == "all" else (scenario,)
+    episodes = play(names, person, predictor, seed, samples)
+    settings = {
+        "version": __version__,
+        "scenario": scenario,
+        "person": person if person == SYNTHETIC else Path(person).name,
+        "predictor": predictor,
+        "seed": seed,
+        "samples": samples,
+    }
+    write(out, episodes, settings)
+    print(closing_table(episodes))
+    print(f"decisions: {out / 'episode.json'}")
+    print(f"pictures: {out / 'storyboard.png'}, and a GIF and a timeline of each scenario beside it")
+
+
+def play(
+    names: tuple[str, ...], person: str, predictor: str, seed: int, samples: int
+) -> dict[str, tuple[Episode, Outcome]]:
+    """Runs scenarios, and prints the decisions as they fall."""
+    from kinecast.evaluation.collaboration import SCENARIOS, Forecasters, replayed_person, simulate_scenario
+    from kinecast.evaluation.outcome import outcome_of
+    from kinecast.robot.cell import Cell
+
+    unknown = [name for name in names if name not in SCENARIOS]
+    if unknown:
+        raise OptionError(f"--scenario {unknown[0]}: allowed are {', '.join(SCENARIOS)}, all")
+    player = None
+    if person != SYNTHETIC:
+        recordings = read_recordings((Path(person),), None)
+        player = replayed_person(max(recordings, key=lambda each: len(each.stamps)), Cell())
+    forecasters, episodes = Forecasters(samples), {}
+    for name in names:
+        simulation = simulate_scenario(name, predictor, seed, forecasters, player)
+        print(f"{name}: {SCENARIOS[name].about if player is None else 'a recorded person'}")
+        for command in simulation.steps():
+            if command.news:
+                print(sentence(command.decision), flush=True)
+        episode = simulation.episode
+        episodes[name] = (episode, outcome_of(episode, simulation.people, simulation.cell))
+    return episodes
+
+
+def sentence(decision: Decision) -> str:
+    """One decision in a line."""
+    reaction = "" if decision.reaction is None else f"[{decision.reaction.name.lower().replace('_', ' ')}] "
+    return f"{decision.stamp:7.2f} s  {decision.state.name.lower():10}  {reaction}{decision.reason}"
+
+
+def write(out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: Mapping[str, object]) -> None:
+    """Writes the decisions and the pictures."""
+    from kinecast.evaluation.collaboration import SCENARIOS
+    from kinecast.evaluation.episode_file import write_episode
+    from kinecast.evaluation.storyboard import Row, animate_episode, draw_storyboard
+    from kinecast.evaluation.timeline import draw_timeline
+    from kinecast.robot.cell import Cell
+    from kinecast.robot.ur5 import UR5
+
+    arm, cell = UR5(), Cell()
+    out.mkdir(parents=True, exist_ok=True)
+    write_episode(out / "episode.json", episodes, settings)
+    rows = [Row(f"{name}: {SCENARIOS[name].about}", episode) for name, (episode, _) in episodes.items()]
+    draw_storyboard(out / "storyboard.png", rows, cell, arm)
+    for name, (episode, _) in episodes.items():
+        animate_episode(out / f"{name}.gif", episode, cell, arm, name)
+        draw_timeline(out / f"{name}_timeline.png", episode, f"{name}: {settings['predictor']}")
+
+
+def closing_table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:
+    """The figures of every scenario."""
+    head = ("", "result", "contacts", "least [m]", "done [s]", "stops", "replans", "p50 [ms]", "p99 [ms]")
+    rows = [
+        (
+            name,
+            outcome.result,
+            str(outcome.contacts),
+            f"{outcome.least_distance:.2f}" if np.isfinite(outcome.least_distance) else "–",
+            f"{outcome.time_to_done:.1f}",
+            str(outcome.stops),
+            str(outcome.replans),
+            f"{outcome.latency_p50:.1f}",
+            f"{outcome.latency_p99:.1f}",
+        )
+        for name, (_, outcome) in episodes.items()
+    ]
+    widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
+    lines = [
+        "  ".join(cell.ljust(width) if column < 2 else cell.rjust(width)
+                  for column, (cell, width) in enumerate(zip(row, widths, strict=True)))
+        for row in (head, *rows)
+    ]  # fmt: skip
+    return "\n".join(line.rstrip() for line in lines)

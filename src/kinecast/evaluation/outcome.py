@@ -1,0 +1,126 @@
+"""What came of an episode, in figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool
+
+from kinecast.robot.cell import Cell
+from kinecast.robot.episode import Episode
+from kinecast.robot.person import Person
+from kinecast.types import Reaction, RobotState
+
+__all__ = ["Outcome", "outcome_of"]
+
+MOVES = 0.01
+"""The arm moves where its fingertips do, faster than this [m/s]."""
+LONG_ENOUGH = 0.25
+"""A standstill on the way is a stop from this duration on [s]."""
+SOON, NEAR = 1.0, 0.27
+"""A person did reach for a cube if a wrist came this near to it [m], hand and fingers included, within so long [s]."""
+ON_THE_WAY = {RobotState.WAITING, RobotState.STOPPED, RobotState.REPLANNING}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Figures of one episode.
+
+    Attributes:
+        result: `done`, or what is missing.
+        contacts: how often the arm and a person (kinecast.robot.body.TRUE_BODY) touched.
+        contacts_moving: of these, while the arm moved.
+        least_distance: between them [m]; inf where nobody came.
+        violation: time during which the arm moved and the true distance was less than the true S_p [s].
+        time_to_done: until the last cube stood in its place, or the episode's end [s].
+        stops: standstills on the way, a quarter of a second or longer.
+        stopped: time spent in them [s].
+        replans: changes of cube or path.
+        false_replans: changes of cube where the person did not reach for the one left within a second.
+        latency_p50, latency_p99: frame in to decision out, planning beside it not counted [ms].
+        planning_p50, planning_p99: of a plan [ms].
+    """
+
+    result: str
+    contacts: int
+    contacts_moving: int
+    least_distance: float
+    violation: float
+    time_to_done: float
+    stops: int
+    stopped: float
+    replans: int
+    false_replans: int
+    latency_p50: float
+    latency_p99: float
+    planning_p50: float
+    planning_p99: float
+
+
+def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcome:
+    """Figures of an episode with these people in this cell."""
+    ticks = episode.ticks
+    stamps = np.array([tick.stamp for tick in ticks])
+    dt = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    distance = np.array([tick.distance for tick in ticks])
+    moving = np.array([tick.tool_speed > MOVES for tick in ticks])
+    short = np.array([tick.margin < 0 for tick in ticks])
+    waiting = np.array([tick.state in ON_THE_WAY and tick.tool_speed <= MOVES for tick in ticks])
+    stops = [last - first for first, last in _runs(waiting) if (last - first) * dt >= LONG_ENOUGH]
+    missing = [name for name in cell.order if name not in episode.placed or name in episode.given_up]
+    latency, planning = _percentiles(episode.latencies), _percentiles(episode.plannings)
+    return Outcome(
+        result=f"without {', '.join(missing)}" if missing else "done",
+        contacts=len(_runs(distance <= 0)),
+        contacts_moving=len(_runs((distance <= 0) & moving)),
+        least_distance=float(distance.min(initial=np.inf)),
+        violation=dt * int((short & moving).sum()),
+        time_to_done=episode.end if missing else max(episode.placed.values()),
+        stops=len(stops),
+        stopped=dt * sum(stops),
+        replans=episode.replans,
+        false_replans=_false_replans(episode, people, cell),
+        latency_p50=latency[0],
+        latency_p99=latency[1],
+        planning_p50=planning[0],
+        planning_p99=planning[1],
+    )
+
+
+def _runs(flags: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
+    """First and one past the last index of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def _percentiles(seconds: Sequence[float]) -> tuple[float, float]:
+    """Median and 99th percentile in milliseconds; NaN of nothing."""
+    if not seconds:
+        return float("nan"), float("nan")
+    p50, p99 = 1e3 * np.percentile(seconds, [50, 99])
+    return float(p50), float(p99)
+
+
+def _false_replans(episode: Episode, people: Sequence[Person], cell: Cell) -> int:
+    """Changes of cube for nothing."""
+    count = 0
+    for decision in episode.decisions:
+        if decision.reaction not in (Reaction.TAKE_ANOTHER, Reaction.CHANGE_CUBE):
+            continue
+        left = [name for name, chance in decision.taken.items() if chance >= 0.5 and name != decision.target]
+        times = decision.stamp + np.linspace(-0.2, SOON, 13)
+        reached = any(_nearest(person, cell, name, float(time)) < NEAR
+                      for person in people for name in left for time in times)  # fmt: skip
+        count += not reached
+    return count
+
+
+def _nearest(person: Person, cell: Cell, name: str, time: float) -> float:
+    """From the nearer wrist to a cube [m]; inf while nobody is there."""
+    pose = person.at(time)
+    if pose is None:
+        return np.inf
+    wrists = pose[[joint.endswith("wrist") for joint in person.joints]]
+    return float(np.linalg.norm(wrists - cell.cube(name).position, axis=1).min())

@@ -1,0 +1,137 @@
+"""One cube's way from where it stands to its place, step by step."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.geometry.transforms import rotation_z
+from kinecast.robot.trajectory import Trajectory
+from kinecast.robot.ur5 import LINKS, UR5
+
+__all__ = ["Step", "nearest", "postures", "straight"]
+
+WAYPOINTS = 9
+CONTINUOUS = 0.8
+"""Between two waypoints of a straight line no angle changes by more than this, or the arm would flip over [rad]."""
+
+
+class Step(Enum):
+    """What is being done with the cube."""
+
+    NONE = "nothing"
+    REACH = "to the cube"
+    DESCEND = "down to the cube"
+    CLOSE = "closing the gripper"
+    LIFT = "lifting the cube"
+    CARRY = "to the cube's place"
+    LOWER = "lowering the cube"
+    OPEN = "opening the gripper"
+    RISE = "up from the cube"
+    BACK_UP = "up again without the cube"
+    REST = "to where it rests"
+
+    @property
+    def planned(self) -> bool:
+        """Whether its path is the planner's."""
+        return self in (Step.REACH, Step.CARRY, Step.REST)
+
+    @property
+    def grasping(self) -> bool:
+        """Whether it belongs to taking the cube."""
+        return self in (Step.DESCEND, Step.CLOSE, Step.LIFT)
+
+    @property
+    def placing(self) -> bool:
+        """Whether it belongs to putting it down."""
+        return self in (Step.LOWER, Step.OPEN, Step.RISE)
+
+
+ELBOW_ABOVE = 0.1
+"""The elbow stays this much higher than the tool [m]: over the table, not beside it."""
+
+
+def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.0) -> Float[np.ndarray, "B 6"]:
+    """Ways to hold the tool there, elbow up, its fingers turned by any quarter; angles in (−π, π].
+
+    Args:
+        arm: the arm.
+        T_world_tool: where the tool is to be, pointing down.
+        below: it must also get straight down by this [m].
+
+    Returns:
+        (B, 6) [rad]; none where the place is out of reach.
+    """
+    kept = []
+    for quarter in range(4):
+        T = T_world_tool.copy()
+        T[:3, :3] = rotation_z(quarter * np.pi / 2) @ T[:3, :3]
+        for q in _simple(arm, T):
+            elbow = arm.capsules(q[None]).start[0, LINKS.index("elbow"), 2]
+            lower = T.copy()
+            lower[2, 3] -= below
+            if elbow > T[2, 3] + ELBOW_ABOVE and (not below or _change(_simple(arm, lower), q).min() < CONTINUOUS):
+                kept.append(q)
+    return np.array(kept).reshape(-1, 6)
+
+
+def nearest(
+    rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"], q_range: Float[np.ndarray, "6 2"], most: int = 8
+) -> Float[np.ndarray, "G 6"]:
+    """The postures soonest reached from q [rad], with the full turns within range that bring each nearest."""
+    turns = np.round((q - rows) / (2 * np.pi)) * 2 * np.pi
+    turned = rows + turns
+    turned = np.where((turned < q_range[:, 0]) | (turned > q_range[:, 1]), rows, turned)
+    way = np.abs(turned - q).max(axis=1, initial=0.0)  # the joint with the longest way says how long it takes
+    first: Float[np.ndarray, "G 6"] = turned[np.argsort(way, kind="stable")[:most]]
+    return first
+
+
+def _simple(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
+    """Every branch, without full turns."""
+    every = arm.inverse_kinematics(T_world_tool)
+    return every[np.abs(every).max(axis=1, initial=0.0) <= np.pi + 1e-9]
+
+
+def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " C"]:
+    """Largest change of an angle from q to each row, full turns aside; inf where there is no row."""
+    if len(rows) == 0:
+        return np.array([np.inf])
+    apart = (rows - q + np.pi) % (2 * np.pi) - np.pi
+    largest: Float[np.ndarray, " C"] = np.abs(apart).max(axis=1)
+    return largest
+
+
+def straight(
+    arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], speed: float, start_time: float
+) -> Trajectory | None:
+    """The tool along a straight line, as it is turned, from rest to rest.
+
+    Args:
+        arm: the arm.
+        q: (6,) where it starts [rad].
+        to: (3,) where the tool ends [m].
+        speed: greatest, of the tool [m/s].
+        start_time: [s].
+
+    Returns:
+        The path; None where the arm cannot follow the line without turning over.
+    """
+    T = arm.forward_kinematics(q)
+    way = to - T[:3, 3]
+    tau = np.linspace(0.0, 1.0, WAYPOINTS)
+    share = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))  # minimum jerk: its peak speed is 15/8 of its mean
+    duration = max(1.875 * float(np.linalg.norm(way)) / speed, 0.1)
+    rows = [np.asarray(q, dtype=np.float64)]
+    for s in share[1:]:
+        place = T.copy()
+        place[:3, 3] += s * way
+        choices = _simple(arm, place)
+        change = _change(choices, rows[-1])
+        if change.min() > CONTINUOUS:
+            return None
+        apart = choices[int(np.argmin(change))] - rows[-1]
+        rows.append(rows[-1] + (apart + np.pi) % (2 * np.pi) - np.pi)
+    return Trajectory(start_time + duration * tau, np.array(rows))

@@ -1,0 +1,245 @@
+"""Moves along a trajectory at any share of its speed, within the limits of speed, acceleration and jerk; by ruckig.
+
+The arm stays on the planned path whatever the speed: only the path's clock s runs slower. With q(s) the path,
+q̇ = q' ṡ, q̈ = q'' ṡ² + q' s̈, q⃛ = q''' ṡ³ + 3 q'' ṡ s̈ + q' s⃛; s̈ and s⃛ are kept so small that all three stay within the
+arm's limits for every ṡ in [0, 1]. Where the arm is not on a new trajectory, ruckig leads over to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.errors import MissingExtraError, OptionError
+from kinecast.robot.trajectory import Trajectory
+from kinecast.robot.ur5 import UR5
+
+try:
+    import ruckig
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("the robot", "robot") from error
+
+__all__ = ["Executor"]
+
+SHARE = np.array([0.9, 0.6, 0.4])
+"""Of the arm's speed, acceleration and jerk that a motion may use by itself: the rest is for changes of its clock."""
+SAME = (1e-6, 1e-5, 1e-3)
+"""Differences in angle [rad], speed [rad/s] and acceleration [rad/s^2] up to which two states are one."""
+SLOWEST = 1e-3
+"""Speed [rad/s] from which on a motion's clock is limited by it."""
+GENTLEST = 0.5
+"""Change of the clock's rate [1/s] that is always left."""
+STEEPEST = (50.0, 2000.0)
+"""Changes of the clock's rate that are never needed [1/s, 1/s^2]: a motion that hardly moves would allow any."""
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Where a motion is: its time s [s] and the first two derivatives of s."""
+
+    s: float = 0.0
+    rate: float = 0.0
+    change: float = 0.0
+
+
+class Executor:
+    """Says at each step of the control loop where the arm should be.
+
+    Args:
+        arm: its limits.
+        dt: of the control loop [s].
+        q: (6,) where the arm rests at first [rad].
+
+    Attributes:
+        q, qd, qdd: (6,) the state last given [rad, rad/s, rad/s^2].
+    """
+
+    def __init__(self, arm: UR5, dt: float, q: Float[np.ndarray, "6"] | None = None) -> None:
+        if not 0 < dt <= 0.1:
+            raise OptionError(f"dt {dt} s is outside (0, 0.1]")
+        self.arm = arm
+        self.dt = dt
+        self.q = np.zeros(6) if q is None else np.array(q, dtype=np.float64)
+        self.qd = np.zeros(6)
+        self.qdd = np.zeros(6)
+        self._limits = np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
+        self._motions: list[_Path | _Bridge] = []
+        self._clock = _Clock()
+        self._pace = ruckig.Ruckig(1)
+        self._change = ruckig.Trajectory(1)
+        self._steepest = STEEPEST
+        self._scale = 1.0
+
+    @property
+    def done(self) -> bool:
+        """It has arrived, or never had anywhere to go."""
+        return not self._motions
+
+    @property
+    def progress(self) -> float:
+        """Time since the first waypoint of the trajectory at which the arm is [s]; below 0 on the way there."""
+        return self._clock.s - sum(motion.duration for motion in self._motions[:-1])
+
+    @property
+    def remaining(self) -> float:
+        """Time to the end at full speed [s]."""
+        return sum(motion.duration for motion in self._motions) - self._clock.s
+
+    def follow(self, trajectory: Trajectory) -> None:
+        """From now on goes along this trajectory, from its first waypoint, joined smoothly from the present state.
+
+        Where the state is that of the trajectory's start, the path is followed exactly. Else ruckig leads over to the
+        start as fast as the limits allow; the way there is not planned, and is short if the start is near. A
+        trajectory too fast for the arm is followed more slowly.
+        """
+        path = _Path(trajectory, self._limits)
+        start = path.derivatives(0.0)
+        # At rest the clock may start at any rate: q' and q'' are 0 there.
+        rest = np.abs(start[1]).max() <= SAME[1] and np.abs(start[2]).max() <= SAME[2]
+        same = all(
+            np.abs(a - b).max() <= tolerance for a, b, tolerance in zip(self._state(), start, SAME, strict=False)
+        )
+        if same:
+            self._motions = [path]
+            self._clock = _Clock(0.0, self._scale if rest else 1.0, 0.0)
+        else:
+            self._motions = [_Bridge(self._state(), start, self._limits), path]
+            self._clock = _Clock(0.0, 1.0, 0.0)
+        self._steepest = _steepest(self._motions, self._limits)
+
+    def step(self, scale: float = 1.0) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+        """Where the arm should be one step of the loop later.
+
+        Args:
+            scale: share of the planned speed, 0..1; 0 brakes on the path.
+
+        Returns:
+            Angles (6,) [rad], speeds (6,) [rad/s] and accelerations (6,) [rad/s^2], within the arm's limits.
+        """
+        self._scale = min(max(float(scale), 0.0), 1.0) if np.isfinite(scale) else 0.0
+        if self._motions:
+            self._clock = self._later(self._clock, self._scale)
+            while self._motions and self._clock.s >= self._motions[0].duration - 1e-9:
+                passed = self._motions.pop(0)
+                self._clock = _Clock(self._clock.s - passed.duration, self._clock.rate, self._clock.change)
+                if not self._motions:
+                    self.q, self.qd, self.qdd = passed.derivatives(passed.duration)[0], np.zeros(6), np.zeros(6)
+                    self._clock = _Clock()
+                    return self._state()
+            self.q, self.qd, self.qdd = self._at(self._clock)
+        return self._state()
+
+    def ahead(
+        self, seconds: float, scale: float = 1.0
+    ) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+        """The state that `step(scale)` will have reached after this time [s]: plans may start there."""
+        clock = self._clock
+        for _ in range(round(seconds / self.dt)):
+            clock = self._later(clock, scale)
+        return self._at(clock)
+
+    def stopping(self) -> tuple[Float[np.ndarray, "6"], float]:
+        """Where the arm would come to rest if it braked from now on (6,) [rad], and when [s from now]."""
+        clock, steps = self._clock, 0
+        while clock.rate > 1e-6 and self._motions and steps * self.dt < 5.0:
+            clock, steps = self._later(clock, 0.0), steps + 1
+        return self._at(clock)[0], steps * self.dt
+
+    def _state(self) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+        return self.q, self.qd, self.qdd
+
+    def _later(self, clock: _Clock, scale: float) -> _Clock:
+        """The motion's clock one step later, its rate on the way to the scale."""
+        wish = ruckig.InputParameter(1)
+        wish.control_interface = ruckig.ControlInterface.Velocity
+        wish.current_position, wish.current_velocity, wish.current_acceleration = (
+            [clock.s], [clock.rate], [clock.change],
+        )  # fmt: skip
+        wish.target_velocity, wish.target_acceleration = [scale], [0.0]
+        wish.max_acceleration, wish.max_jerk = [self._steepest[0]], [self._steepest[1]]
+        self._pace.calculate(wish, self._change)
+        (later,), (rate,), (change,) = self._change.at_time(self.dt)
+        return _Clock(max(later, clock.s), min(max(rate, 0.0), 1.0), change)
+
+    def _at(self, clock: _Clock) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+        """The arm's state at a clock's reading."""
+        s = clock.s
+        for motion in self._motions:
+            if s < motion.duration:
+                q, first, second = motion.derivatives(s)
+                return q, first * clock.rate, second * clock.rate**2 + first * clock.change
+            s -= motion.duration
+        if not self._motions:
+            return self.q, np.zeros(6), np.zeros(6)
+        last = self._motions[-1]
+        return last.derivatives(last.duration)[0], np.zeros(6), np.zeros(6)
+
+
+class _Path:
+    """A trajectory as a motion of its own clock, slowed down where the arm could not follow."""
+
+    def __init__(self, trajectory: Trajectory, limits: Float[np.ndarray, "3 6"]) -> None:
+        used = np.stack(trajectory.peaks()) / (SHARE[:, None] * limits)
+        slower = float((used.max(axis=1) ** (1.0 / np.array([1, 2, 3]))).max())
+        moving = np.any(trajectory.start_velocity) or np.any(trajectory.start_acceleration)
+        self.trajectory = trajectory if slower <= 1 or moving else trajectory.stretched(slower)
+        self.duration = self.trajectory.duration
+
+    def derivatives(self, s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Angles and their first two derivatives by the clock."""
+        return self.trajectory.derivatives(self.trajectory.times[0] + min(s, self.duration))[:3]
+
+    def peaks(self) -> np.ndarray:
+        """(M, 3, 6) sizes of the first three derivatives at M instants."""
+        times = np.linspace(self.trajectory.times[0], self.trajectory.times[-1], 200)
+        return np.abs(np.stack(self.trajectory.derivatives(times)[1:], axis=1))
+
+
+class _Bridge:
+    """The fastest way from one state to another within a share of the limits."""
+
+    def __init__(
+        self,
+        start: tuple[np.ndarray, np.ndarray, np.ndarray],
+        end: tuple[np.ndarray, np.ndarray, np.ndarray],
+        limits: Float[np.ndarray, "3 6"],
+    ) -> None:
+        wish = ruckig.InputParameter(6)
+        wish.current_position, wish.current_velocity, wish.current_acceleration = (part.tolist() for part in start)
+        wish.target_position, wish.target_velocity, wish.target_acceleration = (part.tolist() for part in end)
+        shares = SHARE[:, None] * limits
+        wish.max_velocity, wish.max_acceleration, wish.max_jerk = (part.tolist() for part in shares)
+        self._way = ruckig.Trajectory(6)
+        result = ruckig.Ruckig(6).calculate(wish, self._way)
+        if result != ruckig.Result.Working:
+            raise OptionError(
+                f"no motion leads from {start[0].tolist()} to {end[0].tolist()} within the limits: {result}"
+            )
+        self.duration = float(self._way.duration)
+        self._jerk = limits[2] * SHARE[2]
+
+    def derivatives(self, s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Angles and their first two derivatives by the clock."""
+        q, first, second = (np.array(part) for part in self._way.at_time(min(s, self.duration)))
+        return q, first, second
+
+    def peaks(self) -> np.ndarray:
+        """(M, 3, 6) sizes of the first three derivatives at M instants; ruckig's jerk is always the greatest."""
+        parts = [self.derivatives(s)[1:] for s in np.linspace(0.0, self.duration, 100)]
+        return np.abs([[first, second, self._jerk] for first, second in parts])
+
+
+def _steepest(motions: list[_Path | _Bridge], limits: Float[np.ndarray, "3 6"]) -> tuple[float, float]:
+    """Greatest s̈ and s⃛ at which acceleration and jerk stay within the limits all along the motions."""
+    speed, acceleration, jerk = np.moveaxis(np.concatenate([motion.peaks() for motion in motions]), 1, 0)
+    speed = np.maximum(speed, SLOWEST)
+    left = np.maximum(limits[2] - jerk, 0.0)
+    # What jerk is left is halved between 3 q'' s̈ and q' s⃛.
+    change = min(
+        float(((limits[1] - acceleration) / speed).min()),
+        float((left / (6.0 * np.maximum(acceleration, SLOWEST))).min()),
+    )
+    change = min(max(change, GENTLEST), STEEPEST[0])
+    return change, min(max(float((0.5 * left / speed).min()), 4 * GENTLEST), STEEPEST[1])

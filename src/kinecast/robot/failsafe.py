@@ -1,0 +1,83 @@
+"""How fast the arm may go on so that it can stop before it is where a person may be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.errors import OptionError
+from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.ur5 import UR5
+
+__all__ = ["FailsafeOptions", "free_speed"]
+
+INSTANTS = 5
+
+
+@dataclass(frozen=True)
+class FailsafeOptions:
+    """What stopping takes.
+
+    Attributes:
+        reaction: until the next decision [s]: one camera period and a control cycle.
+        stopping: from full speed to rest [s]; less in proportion from a lower one.
+        clearance: kept from the occupied region [m].
+        speeds: shares of the planned speed to choose from, falling.
+    """
+
+    reaction: float = 0.04
+    stopping: float = 0.25
+    clearance: float = 0.01
+    speeds: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12, 0.05)
+
+    def __post_init__(self) -> None:
+        for name in ("reaction", "stopping", "clearance"):
+            if not 0 <= getattr(self, name) < 10:
+                raise OptionError(f"{name} {getattr(self, name)} is outside 0..10")
+        if not self.speeds or any(not 0 < speed <= 1 for speed in self.speeds):
+            raise OptionError(f"speeds {self.speeds}: at least one, each above 0 and at most 1")
+
+
+def free_speed(
+    arm: UR5,
+    path: Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N 6"]],
+    now: float,
+    occupancy: Occupancy,
+    options: FailsafeOptions,
+) -> float:
+    """The greatest share of the planned speed from which the arm stops in time.
+
+    For every share s, the places that the arm passes until it stands, s t along its path for t up to reaction +
+    s · stopping, must be free at their times; or at least no nearer to anybody than if it had stood still, so that it
+    may always draw back.
+
+    Args:
+        arm: the arm.
+        path: configurations (N, 6) [rad] on its path, so many seconds (N,) at full speed from where it is.
+        now: [s].
+        occupancy: where people may be.
+        options: see FailsafeOptions.
+
+    Returns:
+        One of the speeds, or 0.
+    """
+    if occupancy.radius.shape[1] == 0:
+        return options.speeds[0]
+    speeds = np.array(options.speeds)
+    spans = options.reaction + speeds * options.stopping
+    after = spans[:, None] * np.linspace(0.0, 1.0, INSTANTS)
+    along = (speeds[:, None] * after).ravel()
+    still = np.zeros(INSTANTS)
+    q = path(np.concatenate([along, still]))
+    waited = np.linspace(0.0, spans[0], INSTANTS)
+    body = arm.body_points(q)
+    times = now + np.concatenate([after.ravel(), waited])
+    distance = occupancy.signed_distance(body.positions, times)[0] - body.radius
+    nearest = distance.min(axis=1)
+    moving = nearest[: len(along)].reshape(after.shape)
+    standing = np.interp(after, waited, nearest[len(along) :])
+    allowed = ((moving >= options.clearance) | (moving >= standing - 1e-9)).all(axis=1)
+    return float(speeds[np.argmax(allowed)]) if allowed.any() else 0.0

@@ -1,0 +1,176 @@
+"""Where plans are asked for and fetched: the supervisor never waits for one."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.errors import OptionError
+from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.planner import NoPlan, Plan
+
+__all__ = ["Answer", "DeferredDesk", "Desk", "Request", "Solve", "ThreadDesk"]
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A path wanted.
+
+    Attributes:
+        what: it is for, to tell answers apart.
+        q: (6,) where it starts, at rest [rad].
+        goals: (G, 6) where it may end [rad].
+        occupancy: where people may be.
+        start_time: when it starts [s].
+    """
+
+    what: str
+    q: Float[np.ndarray, "6"]
+    goals: Float[np.ndarray, "G 6"]
+    occupancy: Occupancy
+    start_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What came of a request.
+
+    Attributes:
+        request: answered.
+        plan: the path; None where there is none.
+        reason: why there is none, in words.
+        crashed: whether the planner failed rather than found nothing.
+        milliseconds: the planner worked.
+    """
+
+    request: Request
+    plan: Plan | None
+    reason: str = ""
+    crashed: bool = False
+    milliseconds: float = 0.0
+
+
+Solve = Callable[[Request], Plan | NoPlan]
+"""A planner."""
+
+
+@runtime_checkable
+class Desk(Protocol):
+    """Takes one request at a time."""
+
+    @property
+    def pending(self) -> Request | None:
+        """What is being worked on."""
+        ...
+
+    @property
+    def latency(self) -> float:
+        """How long an answer is likely to take [s]."""
+        ...
+
+    def ask(self, request: Request, now: float) -> None:
+        """Hands a request in; one that is pending is dropped, and its answer never seen."""
+        ...
+
+    def answer(self, now: float) -> Answer | None:
+        """The answer, once, when it is there."""
+        ...
+
+
+class DeferredDesk:
+    """Plans at once and hands the answer over a fixed time later: a simulation that is the same on every machine.
+
+    Args:
+        solve: the planner.
+        latency: [s].
+    """
+
+    def __init__(self, solve: Solve, latency: float = 0.1) -> None:
+        if not latency >= 0:
+            raise OptionError(f"latency {latency} s must be 0 or more")
+        self.latency = latency
+        self.worked = 0.0
+        """Time spent planning in all [s], so that whoever measures the rest can take it off."""
+        self._solve = solve
+        self._answer: Answer | None = None
+        self._ready = 0.0
+
+    @property
+    def pending(self) -> Request | None:
+        """What is being worked on."""
+        return None if self._answer is None else self._answer.request
+
+    def ask(self, request: Request, now: float) -> None:
+        """Plans; the answer is there after the latency."""
+        self._answer = _answered(self._solve, request)
+        self.worked += 1e-3 * self._answer.milliseconds
+        self._ready = now + self.latency
+
+    def answer(self, now: float) -> Answer | None:
+        """The answer, once, when the latency has passed."""
+        if self._answer is None or now < self._ready - 1e-9:
+            return None
+        answer, self._answer = self._answer, None
+        return answer
+
+
+class ThreadDesk:
+    """Plans in a thread of its own, beside a real arm.
+
+    Args:
+        solve: the planner; called from that thread only.
+        latency: how long it is likely to take [s].
+    """
+
+    def __init__(self, solve: Solve, latency: float = 0.1) -> None:
+        self.latency = latency
+        self._solve = solve
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="planner")
+        self._request: Request | None = None
+        self._future: Future[Answer] | None = None
+
+    @property
+    def pending(self) -> Request | None:
+        """What is being worked on."""
+        return self._request
+
+    def ask(self, request: Request, now: float) -> None:  # noqa: ARG002
+        """Hands a request to the thread, after the one it is working on."""
+        if self._future is not None:
+            self._future.cancel()
+        self._request = request
+        self._future = self._pool.submit(_answered, self._solve, request)
+
+    def answer(self, now: float) -> Answer | None:  # noqa: ARG002
+        """The answer, once, when the thread is done."""
+        if self._future is None or not self._future.done():
+            return None
+        answer, self._future, self._request = self._future.result(), None, None
+        return answer
+
+    def close(self) -> None:
+        """Ends the thread, once it is done with what it works on."""
+        self._pool.shutdown(cancel_futures=True)
+
+
+def _answered(solve: Solve, request: Request) -> Answer:
+    """Never raises: the arm goes on whatever happens to its planner."""
+    started = time.perf_counter()
+    try:
+        found = solve(request)
+    except Exception as error:
+        log.exception("planning for %s failed", request.what)
+        return Answer(request, None, f"the planner failed: {error}", True, 1e3 * (time.perf_counter() - started))
+    milliseconds = 1e3 * (time.perf_counter() - started)
+    if isinstance(found, NoPlan):
+        return Answer(request, None, found.reason, False, milliseconds)
+    return Answer(request, found, "", False, milliseconds)

@@ -1,0 +1,171 @@
+"""Speed and separation monitoring, ISO/TS 15066:2016, 5.5.4, on measured positions.
+
+    S_p = S_h + S_r + S_s + C + Z_d + Z_r
+
+S_h = v_h (T_a + T_r + T_s) the person's way until the arm stands, S_r = v_r T_r the arm's way before it brakes,
+S_s = v_r² / 2a while it brakes, T_s = v_r / a. v_h and v_r are the speeds of the nearest points towards one another.
+For a distance d this is a quadratic in v_r: its root is the speed the arm may have.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+
+from kinecast.errors import OptionError
+
+__all__ = ["Separation", "SeparationOptions", "closest_points", "separation"]
+
+
+@dataclass(frozen=True)
+class SeparationOptions:
+    """The terms of S_p.
+
+    Attributes:
+        reaction: T_r, from a measurement's arrival to the first braking [s]: two control cycles and the bus.
+        braking: a, at which the nearest point of the arm surely slows down [m/s²].
+        unknown_speed: v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5).
+        least_speed: v_h is never below this [m/s]: who stands still may start.
+        intrusion: C [m]. 0, since hands are capsules that reach over the fingertips.
+        person_error: Z_d, of a measured joint [m].
+        robot_error: Z_r [m]. UR5: repeatability 0.1 mm; its calibration to the camera counts.
+        oldest: a measurement older than this does not say how fast the person is [s].
+    """
+
+    reaction: float = 0.03
+    braking: float = 2.5
+    unknown_speed: float = 1.6
+    least_speed: float = 0.15
+    intrusion: float = 0.0
+    person_error: float = 0.02
+    robot_error: float = 0.005
+    oldest: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("reaction", "braking", "unknown_speed", "oldest"):
+            if not getattr(self, name) > 0:
+                raise OptionError(f"{name} {getattr(self, name)} must be above 0")
+        for name in ("least_speed", "intrusion", "person_error", "robot_error"):
+            if not getattr(self, name) >= 0:
+                raise OptionError(f"{name} {getattr(self, name)} must be 0 or more")
+
+    @property
+    def constant(self) -> float:
+        """C + Z_d + Z_r [m]."""
+        return self.intrusion + self.person_error + self.robot_error
+
+
+@dataclass(frozen=True)
+class Separation:
+    """What the distance between arm and persons allows.
+
+    Attributes:
+        distance: least distance between them [m]; inf without a person.
+        required: S_p at the present speed of the pair of capsules with the least margin [m].
+        margin: least d − S_p over all pairs [m].
+        scale: share of the present speed at which d ≥ S_p for every pair, 0..1; 1 where it may go on or draws back.
+        link: the arm's capsule of that pair, −1 without a person.
+    """
+
+    distance: float = math.inf
+    required: float = 0.0
+    margin: float = math.inf
+    scale: float = 1.0
+    link: int = -1
+
+
+def separation(
+    arm: tuple[Float[np.ndarray, "L 3"], Float[np.ndarray, "L 3"], Float[np.ndarray, " L"]],
+    arm_velocity: tuple[Float[np.ndarray, "L 3"], Float[np.ndarray, "L 3"]],
+    person: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"], Float[np.ndarray, " K"]],
+    person_velocity: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]],
+    age: Float[np.ndarray, " K"],
+    options: SeparationOptions,
+) -> Separation:
+    """Compares every capsule of the arm with every capsule of the persons.
+
+    Args:
+        arm: start, end [m] and radius [m] of its capsules.
+        arm_velocity: of their starts and ends at full speed [m/s].
+        person: capsules of all persons; one that is NaN is left out: nobody knows where it is.
+        person_velocity: of their starts and ends [m/s]; NaN where it is not known.
+        age: (K,) of the measurements [s].
+        options: see SeparationOptions.
+    """
+    o = options
+    result = _separation(
+        *arm, *arm_velocity, *person, *person_velocity, age,
+        o.reaction, o.braking, o.unknown_speed, o.least_speed, o.constant, o.oldest,
+    )  # fmt: skip
+    distance, required, margin, scale, link = result
+    return Separation(float(distance), float(required), float(margin), float(scale), int(link))
+
+
+@njit(cache=True)
+@no_type_check
+def closest_points(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> tuple[float, float]:
+    """Where along two segments their nearest points lie, 0..1 each (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    aa = bb = ab = ar = br = 0.0
+    for k in range(3):
+        u, v, r = a1[k] - a0[k], b1[k] - b0[k], a0[k] - b0[k]
+        aa, bb, ab = aa + u * u, bb + v * v, ab + u * v
+        ar, br = ar + u * r, br + v * r
+    s = t = 0.0
+    if aa <= 1e-12 and bb <= 1e-12:
+        return s, t
+    if aa <= 1e-12:
+        return s, min(max(br / bb, 0.0), 1.0)
+    if bb <= 1e-12:
+        return min(max(-ar / aa, 0.0), 1.0), t
+    cross = aa * bb - ab * ab
+    if cross > 1e-12:
+        s = min(max((ab * br - ar * bb) / cross, 0.0), 1.0)
+    t = (ab * s + br) / bb
+    if t < 0.0:
+        return min(max(-ar / aa, 0.0), 1.0), 0.0
+    if t > 1.0:
+        return min(max((ab - ar) / aa, 0.0), 1.0), 1.0
+    return s, t
+
+
+@njit(cache=True)
+@no_type_check
+def _separation(
+    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, age, reaction, braking, unknown, least, constant, oldest
+):  # fmt: skip
+    nearest, worst, required, scale, link = np.inf, np.inf, 0.0, 1.0, -1
+    for i in range(len(ar)):
+        for j in range(len(br)):
+            s, t = closest_points(a0[i], a1[i], b0[j], b1[j])
+            gap, way = np.zeros(3), 0.0
+            for k in range(3):
+                gap[k] = (b0[j, k] + t * (b1[j, k] - b0[j, k])) - (a0[i, k] + s * (a1[i, k] - a0[i, k]))
+                way += gap[k] * gap[k]
+            way = math.sqrt(way)
+            if not way >= 0.0:  # NaN
+                continue
+            distance = way - ar[i] - br[j]
+            robot = human = 0.0
+            for k in range(3):
+                direction = gap[k] / max(way, 1e-9)
+                robot += direction * ((1 - s) * va0[i, k] + s * va1[i, k])
+                human -= direction * ((1 - t) * vb0[j, k] + t * vb1[j, k])
+            if not abs(human) < np.inf or age[j] > oldest:
+                human = unknown
+            human, robot = max(human, least), max(robot, 0.0)
+            fixed = constant + human * (age[j] + reaction)
+            needed = fixed + human * robot / braking + robot * reaction + robot * robot / (2 * braking)
+            nearest = min(nearest, distance)
+            if distance - needed < worst:
+                worst, required, link = distance - needed, needed, i
+            if robot > 1e-6 and distance < needed:
+                half = braking * reaction + human
+                room = half * half + 2 * braking * (distance - fixed)
+                allowed = math.sqrt(room) - half if room > half * half else 0.0
+                scale = min(scale, allowed / robot)
+    return nearest, required, worst, scale, link

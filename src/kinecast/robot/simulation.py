@@ -1,0 +1,199 @@
+"""The cell in simulation: arm, cubes, people and camera, one control step after another, the same for the same seed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.robot.body import TRUE_BODY, body_capsules
+from kinecast.robot.camera import Camera
+from kinecast.robot.cell import Cell
+from kinecast.robot.driver import SimulatedDriver
+from kinecast.robot.episode import Episode, Pose, Scenery, Tick
+from kinecast.robot.errand import nearest, postures
+from kinecast.robot.execution import Executor
+from kinecast.robot.person import MindfulPerson, Person
+from kinecast.robot.planner import NoPlan, Plan, Planner, PlannerOptions
+from kinecast.robot.planning_desk import DeferredDesk, Request, Solve
+from kinecast.robot.separation import SeparationOptions, separation
+from kinecast.robot.supervisor import Command, Supervisor, SupervisorOptions
+from kinecast.robot.ur5 import UR5, LinkCapsules
+from kinecast.types import Prediction, SkeletonFrame
+
+__all__ = ["Predict", "Simulation", "planner_of"]
+
+Predict = Callable[[SkeletonFrame, float], Prediction | None]
+"""Takes a frame and the present time; None where nothing is predicted."""
+
+MOMENT = 0.01
+"""A person's true speed is taken over this time [s]."""
+QUICK = PlannerOptions(straight_goals=2, seeded=1, search_iterations=150)
+"""As much as can be done in the latency of a plan."""
+BUDGET = 2.0
+"""Far more than a search of that many steps takes [s]."""
+SHOWN = 60
+"""Samples kept for pictures."""
+
+
+def planner_of(planner: Planner) -> Solve:
+    """A planner as a desk asks it."""
+
+    def solve(request: Request) -> Plan | NoPlan:
+        # The search ends by itself after so many steps, so that what is found depends on the request alone.
+        return planner.plan(request.q, request.goals, request.occupancy, request.start_time, budget=BUDGET)
+
+    return solve
+
+
+class Simulation:
+    """One episode.
+
+    Args:
+        people: who comes.
+        predict: the predictor.
+        camera: what the arm sees of them.
+        cell: what is to be done.
+        options: how the foreman decides.
+        solve: the planner; the arm's own by default.
+        latency: time until a plan can be had [s].
+        dt: time between two control steps [s].
+        limit: when it is over at the latest [s].
+    """
+
+    def __init__(
+        self,
+        people: Sequence[Person],
+        predict: Predict,
+        camera: Camera | None = None,
+        cell: Cell | None = None,
+        options: SupervisorOptions | None = None,
+        solve: Solve | None = None,
+        latency: float = 0.1,
+        dt: float = 0.008,
+        limit: float = 60.0,
+    ) -> None:
+        self.arm, self.cell = UR5(), cell or Cell()
+        self.people, self.predict, self.camera, self.limit = people, predict, camera or Camera(), limit
+        q = self._start()
+        self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
+        self.desk = DeferredDesk(solve or planner_of(Planner(self.arm, self.cell.scene, QUICK)), latency)
+        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
+        self.episode = Episode()
+        self._truth = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0)
+
+    def _start(self) -> Float[np.ndarray, "6"]:
+        """Where the arm rests: elbow up, over the table's side."""
+        upright = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
+        found = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), upright, self.arm.q_range)
+        start: Float[np.ndarray, "6"] = found[0]
+        return start
+
+    def run(self) -> Episode:
+        """To the end: every cube in its place, or out of time."""
+        for _ in self.steps():
+            pass
+        return self.episode
+
+    def steps(self) -> Iterator[Command]:
+        """Step by step; each yields what the arm was told."""
+        episode, dt = self.episode, self.driver.dt
+        for index in range(round(self.limit / dt)):
+            now = index * dt
+            command = self._step(now)
+            episode.end = now
+            yield command
+            if self.supervisor.done:
+                break
+        episode.replans = self.supervisor.replans
+        episode.given_up = tuple(self.supervisor.sequence.given_up)
+
+    def _step(self, now: float) -> Command:
+        episode, supervisor = self.episode, self.supervisor
+        shots = self.camera.shots(now, self.people)
+        began, planned = time.perf_counter(), self.desk.worked
+        for shot in shots:
+            predictions = [self.predict(frame, now) for frame in shot.frames]
+            supervisor.see(shot, [each for each in predictions if each is not None], now)
+        command = supervisor.control(now)
+        planning = self.desk.worked - planned
+        if shots:
+            episode.latencies.append(time.perf_counter() - began - planning)
+        if planning > 0:
+            episode.plannings.append(planning)
+        before = self.driver.state()
+        if command.closed != before.closed:
+            self.driver.grip(command.closed)
+        q = self.driver.move(command.q)
+        self._note(now, before.q, q, command)
+        if command.news:
+            episode.decisions.append(command.decision)
+        if shots:
+            episode.scenes.append(self._scenery(now, command))
+        return command
+
+    def _note(self, now: float, last: Float[np.ndarray, "6"], q: Float[np.ndarray, "6"], command: Command) -> None:
+        """The truth about this step."""
+        dt = self.driver.dt
+        capsules = self.arm.capsules(np.stack([last, q]))
+        velocity = (capsules.start[1] - capsules.start[0]) / dt, (capsules.end[1] - capsules.end[0]) / dt
+        distance, required, margin = np.inf, 0.0, np.inf
+        for person in self.people:
+            here, soon = person.at(now), person.at(now + MOMENT)
+            if here is None:
+                continue
+            body = body_capsules(person.joints, here, TRUE_BODY)
+            later = body if soon is None else body_capsules(person.joints, soon, TRUE_BODY)
+            speed = (later.start - body.start) / MOMENT, (later.end - body.end) / MOMENT
+            found = separation(
+                (capsules.start[1], capsules.end[1], capsules.radius), velocity,
+                (body.start, body.end, body.radius), speed, np.zeros(len(body.radius)), self._truth,
+            )  # fmt: skip
+            distance = min(distance, found.distance)
+            if found.margin < margin:
+                margin, required = found.margin, found.required
+            if isinstance(person, MindfulPerson):
+                person.mind(LinkCapsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
+        tips = [self.arm.forward_kinematics(each)[:3, 3] for each in (last, q)]
+        decision = command.decision
+        self.episode.ticks.append(
+            Tick(
+                now,
+                decision.state,
+                decision.speed,
+                distance,
+                required,
+                margin,
+                float(np.linalg.norm(tips[1] - tips[0])) / dt,
+                decision.distance,
+                decision.separation,
+            )
+        )
+        sequence = self.supervisor.sequence
+        for name in self.cell.order:
+            if name not in (*self.episode.placed, *sequence.remaining, *sequence.given_up):
+                self.episode.placed[name] = now
+
+    def _scenery(self, now: float, command: Command) -> Scenery:
+        """What a picture of this moment needs."""
+        poses = [(person.joints, person.at(now)) for person in self.people]
+        predictions = self.supervisor.outlook.predictions
+        region = np.empty((0, 0, 2, 3))
+        if predictions:
+            samples = predictions[0].samples
+            region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
+        start, end, radius = self.supervisor.outlook.occupancy.at(now + 0.25)
+        ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
+        way = np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead])
+        return Scenery(
+            stamp=now,
+            q=self.driver.state().q,
+            people=tuple(Pose(joints, positions) for joints, positions in poses if positions is not None),
+            cubes={name: place.copy() for name, place in self.driver.cubes.items()},
+            region=region,
+            tube=np.concatenate([start, end, radius[:, None]], axis=1),
+            way=way,
+            decision=command.decision,
+        )

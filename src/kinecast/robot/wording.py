@@ -1,0 +1,91 @@
+"""States and reasons in words."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from kinecast.robot.errand import Step
+from kinecast.robot.pace import Pace, Restraint
+from kinecast.robot.task_sequence import TaskSequence
+from kinecast.types import Reaction, RobotState
+
+__all__ = ["STILL", "Level", "reason_of", "state_of"]
+
+STILL = 0.02
+"""Share of the planned speed below which the arm stands."""
+
+
+class Level(Enum):
+    """How fast it has been going for a while."""
+
+    FULL = "at full speed"
+    SLOW = "more slowly"
+    HELD = "not at all"
+
+
+def state_of(step: Step, finished: bool, has_path: bool, searching: bool, level: Level, pace: Pace) -> RobotState:
+    """The state's name.
+
+    Args:
+        step: of the errand.
+        finished: nothing is left to do.
+        has_path: there is a path to follow.
+        searching: another one is sought meanwhile.
+        level: how fast it has been going.
+        pace: what holds it back.
+    """
+    held = has_path and level is Level.HELD
+    if pace.restraint in (Restraint.SILENCE, Restraint.UNSEEN) or (held and pace.restraint is Restraint.SEPARATION):
+        return RobotState.STOPPED
+    if finished:
+        return RobotState.DONE
+    if searching:
+        return RobotState.REPLANNING
+    if step.grasping and not held:
+        return RobotState.GRASPING
+    if step.placing and not held:
+        return RobotState.PLACING
+    if held or not has_path:
+        return RobotState.WAITING
+    return RobotState.SLOWED if level is Level.SLOW else RobotState.MOVING
+
+
+def reason_of(
+    state: RobotState,
+    step: Step,
+    target: str | None,
+    reaction: Reaction | None,
+    pace: Pace,
+    sequence: TaskSequence,
+    trouble: str,
+) -> str:
+    """Why, in a sentence."""
+    errand = f"{step.value} ({target})" if target else step.value
+    taken = [name for name in sequence.remaining if sequence.is_taken(name)]
+    if reaction is Reaction.GO_AROUND:
+        return f"The way {errand} was about to be blocked: another way around."
+    if reaction is not None:
+        instead = f"{target} first" if target else "back up"
+        return f"The person reaches for {' and '.join(taken) or 'the cube'}: {instead}."
+    if state is RobotState.STOPPED:
+        return {
+            Restraint.SILENCE: "The camera is silent: nobody knows who is there.",
+            Restraint.UNSEEN: "Somebody is there whose arms were never seen.",
+        }.get(pace.restraint, "A person is too near to move.")
+    if state is RobotState.DONE:
+        missing = f", without {' and '.join(sequence.given_up)}: no way there" if sequence.given_up else ""
+        return f"Every cube is in its place{missing}."
+    if trouble:
+        return trouble
+    if state is RobotState.WAITING:
+        if step is Step.REST and taken:
+            return f"The person has {' and '.join(taken)}: nothing is left to take."
+        if pace.restraint is Restraint.PREDICTION:
+            return f"A person is about to be on the way {errand}."
+        return f"A path is sought {errand}."
+    if state is RobotState.REPLANNING:
+        return f"Another path is sought {errand}; meanwhile it slows down."
+    if state is RobotState.SLOWED:
+        cause = "may soon be on the way" if pace.restraint is Restraint.PREDICTION else "is near"
+        return f"On the way {errand}, slowly: a person {cause}."
+    return f"{errand[0].upper()}{errand[1:]}."

@@ -1,0 +1,66 @@
+"""An arm on a table, and people beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.geometry.scene import Scene
+from kinecast.geometry.shapes import Box
+from kinecast.robot.collision import CollisionChecker
+from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.planner import Planner
+from kinecast.robot.ur5 import UR5
+from kinecast.types import Prediction, Status
+
+HOME = np.array([0.42, -1.08, 1.29, 1.36, 1.57, -1.15])
+"""Above the table, the tool pointing down."""
+
+
+@pytest.fixture(scope="session")
+def arm() -> UR5:
+    return UR5()
+
+
+@pytest.fixture(scope="session")
+def table() -> Scene:
+    return Scene((Box(np.array([0.0, 0.0, -0.06]), np.array([2.0, 2.0, 0.1])),))
+
+
+@pytest.fixture(scope="session")
+def planner(arm: UR5, table: Scene) -> Planner:
+    return Planner(arm, table)
+
+
+@pytest.fixture(scope="session")
+def checker(planner: Planner) -> CollisionChecker:
+    return planner.checker
+
+
+def down(x: float, y: float, z: float) -> np.ndarray:
+    """T_world_tool of a tool that points down."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = x, y, z
+    return T
+
+
+def staying(*rows: list[float]) -> Occupancy:
+    """Capsules (start, end, radius) that neither move nor grow."""
+    capsules = np.array(rows, dtype=np.float64).reshape(1, -1, 7)
+    return Occupancy(0.0, np.zeros(1), capsules[..., :3], capsules[..., 3:6], capsules[..., 6], 0.0, 0.0)
+
+
+def prediction(
+    spread: float = 0.05, stamp: float = 0.0, status: Status = Status.OK, x: float = -1.2, samples: int = 400
+) -> Prediction:
+    """A person at rest across the table, whose joints spread evenly over half a second."""
+    left = np.array([[x, 0.2, 0.5], [x + 0.08, 0.3, 0.25], [x + 0.3, 0.25, 0.15]])
+    arms = np.concatenate([left, left * [1, -1, 1]])
+    times = stamp + np.arange(1, 16) / 30
+    share = (np.arange(1, 16) / 15)[:, None, None]
+    rng = np.random.default_rng(0)
+    drawn = arms + spread * share * rng.standard_normal((samples, 1, 6, 3))
+    return Prediction(
+        stamp, times, drawn, np.repeat(arms[None], 15, axis=0), np.zeros((15, 6, 3, 3)), ARM_JOINTS, status=status
+    )

@@ -1,0 +1,149 @@
+"""Drivers, and desks at which plans are asked for."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from kinecast.errors import OptionError
+from kinecast.robot.cell import Cell
+from kinecast.robot.driver import Driver, MockDriver, SimulatedDriver
+from kinecast.robot.errand import nearest, postures, straight
+from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.planner import NoPlan, Plan, Planner
+from kinecast.robot.planning_desk import DeferredDesk, Desk, Request, ThreadDesk
+from kinecast.robot.simulation import planner_of
+from kinecast.robot.ur5 import UR5
+
+START = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
+
+
+@pytest.fixture(scope="module")
+def cell() -> Cell:
+    return Cell()
+
+
+def test_the_simulated_arm_is_no_faster_than_its_joints(arm: UR5, cell: Cell) -> None:
+    driver = SimulatedDriver(arm, cell, START)
+    sent = driver.move(START + 1.0)
+    np.testing.assert_allclose(sent - START, arm.max_speed * driver.dt)
+    np.testing.assert_array_equal(driver.state().q, sent)
+    np.testing.assert_array_equal(driver.move(np.full(6, np.nan)), sent)
+
+
+def test_a_cube_is_carried_while_it_is_held(arm: UR5, cell: Cell) -> None:
+    red = cell.cubes[0]
+    q = nearest(postures(arm, cell.grasp(red.position)), START, arm.q_range)[0]
+    driver = SimulatedDriver(arm, cell, q)
+    driver.grip(True)
+    assert driver.held == "red"
+    for _ in range(30):
+        driver.move(q + 0.2 * np.eye(6)[0])
+    driver.grip(False)
+    put = driver.cubes["red"].copy()
+    turn = np.array([[np.cos(0.2), -np.sin(0.2)], [np.sin(0.2), np.cos(0.2)]])
+    np.testing.assert_allclose(put[:2], turn @ red.position[:2], atol=1e-6)
+    driver.move(q)
+    np.testing.assert_array_equal(driver.cubes["red"], put)
+
+
+def test_nothing_is_held_where_no_cube_is(arm: UR5, cell: Cell) -> None:
+    driver = SimulatedDriver(arm, cell, START)
+    driver.grip(True)
+    assert driver.held is None
+    assert driver.state().closed
+
+
+def test_both_drivers_keep_the_protocol_and_the_mock_remembers(arm: UR5, cell: Cell) -> None:
+    mock = MockDriver(START)
+    assert isinstance(mock, Driver)
+    assert isinstance(SimulatedDriver(arm, cell, START), Driver)
+    mock.move(START + 0.1)
+    mock.grip(True)
+    assert mock.state().closed
+    np.testing.assert_allclose(mock.sent, [START + 0.1])
+    with pytest.raises(OptionError, match="dt"):
+        SimulatedDriver(arm, cell, START, 0.0)
+
+
+def test_straight_lines_are_straight_and_keep_the_tool_turned(arm: UR5, cell: Cell) -> None:
+    red = cell.cubes[0]
+    q = nearest(postures(arm, cell.grasp(red.position, cell.hover), cell.hover), START, arm.q_range)[0]
+    down = cell.grasp(red.position)[:3, 3]
+    way = straight(arm, q, down, 0.4, 5.0)
+    assert way is not None
+    poses = [arm.forward_kinematics(way.at(t)[0]) for t in np.linspace(way.times[0], way.times[-1], 60)]
+    places = np.array([pose[:3, 3] for pose in poses])
+    np.testing.assert_allclose(places[:, :2], np.tile(down[:2], (60, 1)), atol=2e-3)
+    np.testing.assert_allclose(places[-1], down, atol=1e-6)
+    assert all(pose[2, 2] < -0.999 for pose in poses)
+    assert np.abs(np.diff(places[:, 2])).max() / (way.duration / 59) < 0.45
+    assert straight(arm, q, np.array([2.0, 0.0, 0.0]), 0.4, 0.0) is None
+
+
+def test_postures_hold_the_tool_there_and_the_nearest_comes_first(arm: UR5, cell: Cell) -> None:
+    T = cell.grasp(cell.cubes[1].position, cell.hover)
+    rows = postures(arm, T, cell.hover)
+    assert len(rows) >= 4
+    for q in rows:
+        np.testing.assert_allclose(arm.forward_kinematics(q)[:3, 3], T[:3, 3], atol=1e-9)
+    ways = np.abs(nearest(rows, START, arm.q_range) - START).max(axis=1)
+    assert np.all(np.diff(ways) >= 0)
+    far = T.copy()
+    far[0, 3] = 3.0
+    assert postures(arm, far).shape == (0, 6)
+
+
+def request(arm: UR5, cell: Cell) -> Request:
+    goals = nearest(postures(arm, cell.grasp(cell.cubes[2].position, cell.hover)), START, arm.q_range)
+    return Request("test", START, goals, Occupancy.empty(), 0.1)
+
+
+def test_a_deferred_desk_answers_after_its_latency_and_once(arm: UR5, cell: Cell) -> None:
+    desk = DeferredDesk(planner_of(Planner(arm, cell.scene)), 0.1)
+    assert isinstance(desk, Desk)
+    desk.ask(request(arm, cell), 1.0)
+    assert desk.pending is not None
+    assert desk.answer(1.09) is None
+    answer = desk.answer(1.1)
+    assert answer is not None
+    assert isinstance(answer.plan, Plan)
+    assert desk.answer(1.2) is None
+    assert desk.pending is None
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm: UR5, cell: Cell) -> None:
+    def broken(_: Request) -> Plan | NoPlan:
+        raise ValueError("broken")
+
+    for solve, crashed, words in ((broken, True, "broken"), (lambda _: NoPlan("no way"), False, "no way")):
+        desk: DeferredDesk | ThreadDesk = ThreadDesk(solve) if threaded else DeferredDesk(solve, 0.0)
+        desk.ask(request(arm, cell), 0.0)
+        answer = None
+        for _ in range(200):
+            answer = desk.answer(1.0)
+            if answer is not None:
+                break
+            time.sleep(0.01)
+        assert answer is not None
+        assert answer.plan is None
+        assert answer.crashed is crashed
+        assert words in answer.reason
+        if isinstance(desk, ThreadDesk):
+            desk.close()
+
+
+def test_a_thread_does_not_make_the_asker_wait(arm: UR5, cell: Cell) -> None:
+    def slow(_: Request) -> Plan | NoPlan:
+        time.sleep(0.3)
+        return NoPlan("slept")
+
+    desk = ThreadDesk(slow)
+    began = time.perf_counter()
+    desk.ask(request(arm, cell), 0.0)
+    assert desk.answer(0.0) is None
+    assert time.perf_counter() - began < 0.2
+    desk.close()

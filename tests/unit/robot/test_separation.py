@@ -1,0 +1,93 @@
+"""Speed and separation monitoring against its formula."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinecast.errors import OptionError
+from kinecast.robot.separation import Separation, SeparationOptions, closest_points, separation
+
+OPTIONS = SeparationOptions()
+
+
+def pair(
+    distance: float, arm_speed: float, person_speed: float, age: float = 0.0, options: SeparationOptions = OPTIONS
+) -> Separation:
+    """Two parallel capsules of radius 0.1 m at a distance along x, moving towards one another."""
+    start, end = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+    radius, away = np.array([0.1]), np.array([[distance + 0.2, 0.0, 0.0]])
+    velocity = np.array([[arm_speed, 0.0, 0.0]])
+    towards = np.array([[-person_speed, 0.0, 0.0]])
+    return separation(
+        (start, end, radius), (velocity, velocity), (start + away, end + away, radius), (towards, towards),
+        np.array([age]), options,
+    )  # fmt: skip
+
+
+def needed(robot: float, human: float, age: float = 0.0) -> float:
+    """S_p by hand."""
+    stopping = robot / OPTIONS.braking
+    return (
+        human * (age + OPTIONS.reaction + stopping)
+        + robot * OPTIONS.reaction
+        + robot**2 / (2 * OPTIONS.braking)
+        + OPTIONS.constant
+    )
+
+
+@pytest.mark.parametrize("robot", [0.2, 1.0])
+@pytest.mark.parametrize("human", [0.3, 1.6])
+@pytest.mark.parametrize("age", [0.0, 0.08])
+def test_required_distance_is_the_sum_of_its_terms(robot: float, human: float, age: float) -> None:
+    found = pair(1.7, robot, human, age)
+    assert found.distance == pytest.approx(1.7)
+    assert found.required == pytest.approx(needed(robot, human, age))
+    assert found.margin == pytest.approx(1.7 - needed(robot, human, age))
+
+
+@pytest.mark.parametrize("distance", [0.15, 0.3, 0.6])
+@pytest.mark.parametrize("human", [0.2, 0.8])
+def test_the_allowed_speed_is_the_one_whose_required_distance_is_there(distance: float, human: float) -> None:
+    found = pair(distance, 3.0, human)
+    assert 0 < found.scale < 1
+    assert needed(3.0 * found.scale, human) == pytest.approx(distance)
+
+
+def test_a_person_nearer_than_the_constant_terms_stops_the_arm_unless_it_draws_back() -> None:
+    assert pair(0.01, 0.5, 0.0).scale == 0.0
+    assert pair(0.01, -0.5, 0.0).scale == 1.0
+    assert pair(-0.05, -0.5, 1.0).scale == 1.0
+
+
+def test_who_is_not_seen_often_enough_counts_as_fast() -> None:
+    assert pair(0.5, 0.5, 0.0, age=0.2).required == pytest.approx(needed(0.5, 1.6, 0.2))
+    assert pair(0.5, 0.5, np.nan).required == pytest.approx(needed(0.5, 1.6))
+
+
+def test_who_stands_still_may_start() -> None:
+    assert pair(0.5, 0.5, -1.0).required == pytest.approx(needed(0.5, OPTIONS.least_speed))
+
+
+def test_unknown_places_are_left_out_and_nobody_is_infinitely_far() -> None:
+    assert pair(np.nan, 0.5, 0.0) == Separation()
+
+
+def test_nearest_points_against_a_fine_grid() -> None:
+    rng = np.random.default_rng(0)
+    grid = np.linspace(0, 1, 201)
+    for _ in range(50):
+        a0, a1, b0, b1 = rng.normal(size=(4, 3))
+        s, t = closest_points(a0, a1, b0, b1)
+        found = np.linalg.norm(a0 + s * (a1 - a0) - b0 - t * (b1 - b0))
+        first = a0 + grid[:, None] * (a1 - a0)
+        second = b0 + grid[:, None] * (b1 - b0)
+        brute = np.linalg.norm(first[:, None] - second[None], axis=-1).min()
+        assert found <= brute + 1e-12
+        assert found >= brute - 0.05
+
+
+@pytest.mark.parametrize("name", ["reaction", "braking", "unknown_speed", "oldest"])
+def test_options_are_checked(name: str) -> None:
+    with pytest.raises(OptionError, match=name):
+        SeparationOptions(**{name: 0.0})

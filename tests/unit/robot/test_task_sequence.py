@@ -1,0 +1,59 @@
+"""Which cube next, with hysteresis."""
+
+from __future__ import annotations
+
+import pytest
+
+from kinecast.errors import OptionError
+from kinecast.robot.task_sequence import SequenceOptions, TaskSequence
+
+ORDER = ("red", "green", "blue")
+
+
+def test_order_is_kept_while_nobody_reaches_for_anything() -> None:
+    sequence = TaskSequence(ORDER)
+    done = []
+    while (name := sequence.next()) is not None:
+        done.append(name)
+        sequence.finish(name)
+    assert tuple(done) == ORDER
+
+
+def test_a_cube_that_is_reached_for_is_passed_over_and_comes_back_later() -> None:
+    sequence = TaskSequence(ORDER, SequenceOptions(after=0.5))
+    sequence.finish("red")
+    sequence.update(0.0, {"green": 0.6, "blue": 0.0})
+    assert sequence.next() == "blue"
+    sequence.update(1.0, {"green": 0.1})
+    assert sequence.next() == "blue", "not free at once"
+    sequence.update(1.49, {"green": 0.1})
+    assert sequence.next() == "blue"
+    sequence.update(1.5, {"green": 0.1})
+    assert sequence.next() == "green"
+
+
+def test_a_probability_between_the_thresholds_changes_nothing() -> None:
+    sequence = TaskSequence(ORDER, SequenceOptions(taken=0.5, free=0.2, after=0.3))
+    sequence.update(0.0, {"red": 0.4})
+    assert not sequence.is_taken("red")
+    sequence.update(0.1, {"red": 0.5})
+    for k in range(20):
+        sequence.update(0.2 + 0.1 * k, {"red": 0.15 if k % 2 else 0.3})
+        assert sequence.is_taken("red"), "each rise starts the waiting anew"
+
+
+def test_nothing_is_next_when_all_are_taken_and_given_up_ones_never_are() -> None:
+    sequence = TaskSequence(ORDER)
+    sequence.update(0.0, dict.fromkeys(ORDER, 1.0))
+    assert sequence.next() is None
+    sequence.update(1.0, dict.fromkeys(ORDER, 0.0))
+    sequence.update(2.0, dict.fromkeys(ORDER, 0.0))
+    sequence.give_up("red")
+    assert sequence.next() == "green"
+    assert sequence.given_up == ["red"]
+
+
+@pytest.mark.parametrize(("taken", "free"), [(0.2, 0.5), (0.5, 0.5), (1.2, 0.1), (0.5, -0.1)])
+def test_thresholds_must_rise(taken: float, free: float) -> None:
+    with pytest.raises(OptionError, match="must rise"):
+        SequenceOptions(taken=taken, free=free)

@@ -1,0 +1,73 @@
+"""The spline through the waypoints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinecast.errors import OptionError
+from kinecast.robot.trajectory import Trajectory
+
+
+def wavy(velocity: float = 0.0, acceleration: float = 0.0) -> Trajectory:
+    times = 3.0 + np.linspace(0, 2, 12)
+    q = np.random.default_rng(0).normal(0, 0.3, (12, 6)).cumsum(axis=0)
+    return Trajectory(times, q, np.full(6, velocity), np.full(6, acceleration))
+
+
+def test_it_passes_its_waypoints_and_ends_at_rest() -> None:
+    path = wavy(0.4, -0.7)
+    np.testing.assert_allclose(path.at(path.times)[0], path.q, atol=1e-9)
+    _, qd, qdd, _ = path.derivatives(np.array([3.0, 5.0]))
+    np.testing.assert_allclose(qd, [[0.4] * 6, [0.0] * 6], atol=1e-9)
+    np.testing.assert_allclose(qdd, [[-0.7] * 6, [0.0] * 6], atol=1e-7)
+
+
+def test_derivatives_are_those_of_the_angles() -> None:
+    path, step = wavy(), 1e-6
+    times = np.linspace(3.01, 4.99, 50)
+    values = path.derivatives(times)
+    later, earlier = path.derivatives(times + step), path.derivatives(times - step)
+    for k in range(3):
+        np.testing.assert_allclose((later[k] - earlier[k]) / (2 * step), values[k + 1], rtol=1e-4, atol=1e-3)
+
+
+def test_before_and_after_it_rests() -> None:
+    path = wavy(0.4)
+    for t, waypoint in ((-10.0, 0), (9.0, -1)):
+        q, qd = path.at(t)
+        np.testing.assert_allclose(q, path.q[waypoint], atol=1e-9)
+        assert not qd.any()
+
+
+def test_stretched_it_takes_the_same_way_more_slowly() -> None:
+    path = wavy(0.4, 0.2)
+    slow = path.stretched(2.0)
+    assert slow.duration == pytest.approx(4.0)
+    np.testing.assert_allclose(slow.at(4.0)[0], path.at(3.5)[0], atol=1e-9)
+    np.testing.assert_allclose(slow.at(4.0)[1], path.at(3.5)[1] / 2, atol=1e-9)
+    np.testing.assert_allclose(path.delayed(1.0).at(4.5)[0], path.at(3.5)[0], atol=1e-12)
+
+
+def test_peaks_are_the_greatest_values() -> None:
+    path = wavy()
+    speed, acceleration, jerk = path.peaks(2000)
+    _, qd, qdd, qddd = path.derivatives(np.linspace(3.0, 5.0, 777))
+    assert (np.abs(qd).max(axis=0) <= speed + 1e-3).all()
+    assert (np.abs(qdd).max(axis=0) <= 1.001 * acceleration).all()
+    assert (np.abs(qddd).max(axis=0) <= 1.01 * jerk).all()
+
+
+@pytest.mark.parametrize(
+    ("times", "q"),
+    [
+        (np.array([0.0]), np.zeros((1, 6))),
+        (np.array([0.0, 1.0]), np.zeros((3, 6))),
+        (np.array([0.0, 0.0]), np.zeros((2, 6))),
+        (np.array([0.0, np.nan]), np.zeros((2, 6))),
+        (np.array([0.0, 1.0]), np.full((2, 6), np.inf)),
+    ],
+)
+def test_what_is_no_trajectory_is_refused(times: np.ndarray, q: np.ndarray) -> None:
+    with pytest.raises((OptionError, TypeError)):
+        Trajectory(times, q)
