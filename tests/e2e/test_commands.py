@@ -58,7 +58,15 @@ class TestHelp:
     def test_lists_the_commands_one_after_another(self, kinecast: Kinecast) -> None:
         outcome = kinecast("--help")
         assert outcome.code == 0
-        assert re.findall(r"• (\w+)", outcome.out) == ["demo", "info", "download", "train", "evaluate", "predict"]
+        assert re.findall(r"• (\w+)", outcome.out) == [
+            "demo",
+            "info",
+            "download",
+            "train",
+            "evaluate",
+            "predict",
+            "simulate",
+        ]
 
     @pytest.mark.parametrize("command", ["train", "evaluate"])
     def test_says_what_every_method_is(self, kinecast: Kinecast, command: str) -> None:

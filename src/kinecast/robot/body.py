@@ -14,8 +14,8 @@ __all__ = ["TRUE_BODY", "BodyCapsules", "body_capsules"]
 TRUE_BODY = OccupancyOptions(
     upper_arm=0.06, forearm=0.05, hand=0.055, hand_length=0.10, shoulders=0.11, trunk=0.16, head=0.11
 )
-"""A large adult without clothes and without the tracker's error (DIN 33402-2, 95 % of men; see OccupancyOptions):
-what touches this touches the person. The arm's side keeps away from more than that."""
+"""A large adult without clothes and without the tracker's error (estimates; see OccupancyOptions): what
+touches this touches the person. The arm's side keeps away from more than that."""
 DOWN = np.array([0.0, 0.0, -1.0])
 
 

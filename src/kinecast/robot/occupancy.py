@@ -23,7 +23,7 @@ PARTS = (
 
 _ARM = ("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist")
 _ALONG = np.array([0.0, -0.36, -0.66, 0.45, 0.81, 1.11])
-"""The arm joints on a string from wrist to wrist [m], arms and shoulders of a large man (DIN 33402-2): no two joints
+"""The arm joints on a string from wrist to wrist [m], arms and shoulders of a large man (an estimate): no two joints
 are ever farther apart than along it."""
 _EVERYWHERE = 100.0
 """Radius [m] of what a person may fill who is known to be there but was never seen."""
@@ -35,11 +35,10 @@ class OccupancyOptions:
 
     Attributes:
         level: probability that each capsule holds its limb, in (0, 1].
-        upper_arm, forearm, hand: radii of the limbs [m]. Anthropometric tables (DIN 33402-2, 95th percentile men) give
-            girths of about 0.36 m for the upper arm and 0.31 m for the forearm, radii of 0.06 and 0.05 m; the rest is
-            clothing and the tracker's error, since a joint measured by a camera lies beside the bone's axis. The hand's
-            radius holds a spread hand about its middle.
-        hand_length: from the wrist to the middle of the fingers [m]: half of a hand of 0.20 m (DIN 33402-2).
+        upper_arm, forearm, hand: radii of the limbs [m]. Estimates: a large man's arms have radii of about 0.06 and
+            0.05 m; the rest is clothing and the tracker's error, since a joint measured by a camera lies beside the
+            bone's axis. The hand's radius holds a spread hand about its middle.
+        hand_length: from the wrist to the middle of the fingers [m]: half of a hand of 0.20 m.
         shoulders, trunk, head: radii [m]: half the depth of a clothed chest, half its width, a head with hair.
         trunk_length, head_height: from mid-shoulders down to the hips and up to the middle of the head [m].
         hand_speed: fastest approach of an upper limb, ISO 13855:2010, 6.2.3: 2.0 m/s below 0.5 m.
