@@ -33,6 +33,8 @@ GUARD_POWER = 40.0
 """Weight of a forecaster: its long-run error to minus this power."""
 GUARD_CREDIT = 0.98
 """The mixture is taken for 2 % better than it was: ties go to it."""
+USUAL_ERROR = 0.03
+"""Of every forecaster before anything is known [m]."""
 GUARD_PRIOR, GUARD_OTHERS = 8.0, 1.15
 """Before anything is known, and for as many frames' worth, the trivial experts are taken for 15 % worse."""
 
@@ -153,7 +155,8 @@ def guard(due: Float[np.ndarray, "E 6 L 1"], frames: int) -> Float[np.ndarray, "
     known = np.isfinite(due).all(axis=(0, 1, 3))
     errors = np.where(known, due[..., 0], 0.0).sum(axis=-1) / max(int(known.sum()), 1)
     age = min(float(frames), GUARD_HALF_LIVES[0] / np.log(2.0)) if known.any() else 0.0
-    expected = np.maximum(errors[:1], 1e-4) * np.where(np.arange(len(errors)) == 0, GUARD_CREDIT, GUARD_OTHERS)[:, None]
+    level = np.maximum(errors[:1], 1e-4) if known.any() else np.full_like(errors[:1], USUAL_ERROR)
+    expected = level * np.where(np.arange(len(errors)) == 0, GUARD_CREDIT, GUARD_OTHERS)[:, None]
     errors = (errors * age + GUARD_PRIOR * expected) / (age + GUARD_PRIOR)
     errors[0] *= GUARD_CREDIT
     logits = -GUARD_POWER * np.log(errors + 3e-4)
