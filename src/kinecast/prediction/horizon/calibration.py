@@ -12,7 +12,7 @@ __all__ = ["LEVEL", "AdaptiveScale"]
 
 LEVEL = 0.8
 """The region whose coverage is held."""
-RATE, FORGET = 0.04, 0.995
+RATE, FORGET = 0.1, 0.995
 """How fast the log of the factor moves with each miss, and how fast it returns to nothing."""
 MOST = 1.0
 """Most that the log of the factor strays from zero."""
