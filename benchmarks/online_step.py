@@ -75,7 +75,7 @@ def run(
     naive_points: int = 500,
     trained: Sequence[str] = TRAINED,
 ) -> dict[str, Any]:
-    """Every method on every frame in turn, the naive stack on a few of them.
+    """Every method on all frames, one method after another; the naive stack on a few of the frames.
 
     Args:
         recording: whose frames are observed.
@@ -100,13 +100,14 @@ def run(
     slow: list[float] = []
     seen = list(frames(recording))[:count]
     also_naive = set(np.linspace(reference.frames + 1, len(seen) - 1, naive_count, dtype=int))
-    for k, frame in enumerate(seen):
-        for name, predictor in predictors.items():
+    for name, predictor in predictors.items():
+        for k, frame in enumerate(seen):
             begin, worked = time.perf_counter(), time.process_time()
             predictor.observe(frame)
             if k > reference.frames:
                 wall[name].append(time.perf_counter() - begin)
                 busy[name].append(time.process_time() - worked)
+    for k, frame in enumerate(seen):
         track.add(frame)
         observation, _ = track.observation(noise)
         if k in also_naive and observation is not None:
