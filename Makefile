@@ -12,6 +12,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 
 demo: $(VENV)/.demo
 	$(BIN)/kinecast demo --out $(OUT)
+	$(BIN)/kinecast simulate --out $(OUT)/robot
 
 test: $(VENV)/.test check
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 
 from kinecast import __version__
 from kinecast.cli.destination import check_folder
 from kinecast.cli.options import Folder
 from kinecast.cli.progress import progress_bar
-from kinecast.cli.simulate import simulate
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.protocol import EvaluationOptions
@@ -20,14 +18,10 @@ from kinecast.prediction.methods import shipped_methods
 __all__ = ["demo"]
 
 SEED = 7
-ROBOT = ("pinocchio", "coal", "ompl", "ruckig")
-"""What the simulated arm needs: the extra `robot`."""
 
 
 def demo(out: Folder = Path("kinecast-demo")) -> None:
     """Generates people at a table, predicts their arms, scores it, draws it, and says where it all is.
-
-    With the extra `robot` an arm then works beside them, in the paper's three scenarios.
 
     Args:
         out: folder for the report and the pictures.
@@ -35,7 +29,7 @@ def demo(out: Folder = Path("kinecast-demo")) -> None:
     from kinecast.evaluation.run import run_evaluation  # here, since drawing is an extra other commands do without
 
     check_folder(out)
-    people = SyntheticOptions(subjects=2, recordings=2, duration=15.0)
+    people = SyntheticOptions(subjects=2, recordings=2, duration=10.0)
     scene = table_scene(people)
     windows = WindowOptions()
     recordings = generate(people, SEED)
@@ -58,5 +52,3 @@ def demo(out: Folder = Path("kinecast-demo")) -> None:
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")
     print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")
-    if all(find_spec(name) for name in ROBOT):
-        simulate(out=out / "robot")
