@@ -39,8 +39,9 @@ from kinecast.body.elementary import sine_cosine
 
 __all__ = [
     "ANGLES", "LEFT_ARM", "LENGTHS", "POSTURE_SIZE", "RIGHT_ARM", "WIDTH",
-    "coordinates_from_postures", "log_det_jacobian", "other_branch", "points_from_postures",
-    "points_of_posture", "posture_of_points", "postures_from_coordinates", "postures_from_points",
+    "coordinates_from_postures", "into_torso", "log_det_jacobian", "other_branch", "out_of_torso",
+    "points_from_postures", "points_of_posture", "posture_of_points", "postures_from_coordinates",
+    "postures_from_points",
 ]  # fmt: skip
 
 POSTURE_SIZE = 18
@@ -63,9 +64,9 @@ def _difference(points: np.ndarray, tip: int, base: int) -> Vector:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 @no_type_check
-def _into_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
+def into_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
     """Rᵀ v with R = Rz(ψ) Rx(ρ)."""
     level = cy * v[1] - sy * v[0]
     return cy * v[0] + sy * v[1], cr * level + sr * v[2], cr * v[2] - sr * level
@@ -120,8 +121,8 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, o
         upper = _difference(points, shoulder + 1, shoulder)
         fore = _difference(points, shoulder + 2, shoulder + 1)
         theta = arm_angles(
-            _into_torso(upper, sy, cy, sr, cr),
-            _into_torso(fore, sy, cy, sr, cr),
+            into_torso(upper, sy, cy, sr, cr),
+            into_torso(fore, sy, cy, sr, cr),
             LEFT if arm == 0 else RIGHT,
             (previous[at], previous[at + 1], previous[at + 2], previous[at + 3]),
             weight,

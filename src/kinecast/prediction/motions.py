@@ -14,17 +14,23 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-from kinecast.body.arm_angles import UNDEFINED, nearest_turn
+from kinecast.body.arm_angles import UNDEFINED, arm_vectors, nearest_turn
 from kinecast.body.elementary import arctangent, sine_cosine
 from kinecast.body.limits import JointLimits, bounds, posture_bounds, speeds_within_wrist_speed
-from kinecast.body.posture import points_of_posture, posture_of_points, postures_from_points
+from kinecast.body.posture import (
+    into_torso,
+    out_of_torso,
+    points_of_posture,
+    posture_of_points,
+    postures_from_points,
+)
 from kinecast.prediction.draws import hashed_uniform
+from kinecast.prediction.lanes import LANES
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.truncated_normal import sample
 
 __all__ = ["draw_motions"]
 
-LANES = 64
 STRIP = 6
 """Columns of the factor taken in one go."""
 ROWS = 92
@@ -241,12 +247,10 @@ def _angles(
         sa, ca = work[TORSO + lane], work[TORSO + LANES + lane]
         sb, cb = work[TORSO + 2 * LANES + lane], work[TORSO + 3 * LANES + lane]
         x, y, z = work[at + 3 * LANES], work[at + 4 * LANES], work[at + 5 * LANES]
-        fx, fy, fz = work[at + 6 * LANES] - x, work[at + 7 * LANES] - y, work[at + 8 * LANES] - z
-        x, y, z = x - work[at], y - work[at + LANES], z - work[at + 2 * LANES]
-        level = ca * y - sa * x
-        ux, uy, uz = ca * x + sa * y, cb * level + sb * z, cb * z - sb * level
-        level = ca * fy - sa * fx
-        fx, fy, fz = ca * fx + sa * fy, cb * level + sb * fz, cb * fz - sb * level
+        upper_arm = (x - work[at], y - work[at + LANES], z - work[at + 2 * LANES])
+        forearm = (work[at + 6 * LANES] - x, work[at + 7 * LANES] - y, work[at + 8 * LANES] - z)
+        ux, uy, uz = into_torso(upper_arm, sa, ca, sb, cb)
+        fx, fy, fz = into_torso(forearm, sa, ca, sb, cb)
 
         bone = math.sqrt(ux * ux + uy * uy + uz * uz)
         swing = math.sqrt(ux * ux + uz * uz)
@@ -299,14 +303,34 @@ def _redrawn(
 ) -> None:
     """Draws anew the angles of one arm that leave their bounds."""
     for part in range(4):
-        d = 6 + 6 * arm + part
-        before = work[BEFORE + d * LANES + lane]
-        lb, ub = bounds(lower[d], upper[d], speed[d], before, dt)
-        angle = ANGLES + (4 * arm + part) * LANES + lane
-        if not lb <= work[angle] <= ub:
-            about = centre[d] if part == 3 else nearest_turn(centre[d], before)
-            uniform = hashed_uniform(seed, number + np.uint64(4 * arm + part))
-            work[angle] = sample(uniform, about, spread[d], lb, ub)
+        k, d = 4 * arm + part, 6 + 6 * arm + part
+        angle, before = ANGLES + k * LANES + lane, work[BEFORE + d * LANES + lane]
+        work[angle] = _bounded(
+            work[angle], before, k, seed, number, centre[d], spread[d], lower[d], upper[d], speed[d], dt
+        )
+
+
+@njit(cache=True)
+@no_type_check
+def _bounded(
+    angle: float,
+    before: float,
+    k: int,
+    seed: np.uint64,
+    number: np.uint64,
+    centre: float,
+    spread: float,
+    lower: float,
+    upper: float,
+    speed: float,
+    dt: float,
+) -> float:
+    """Arm angle k, 0..7, where it keeps Eq. 4's bounds; else drawn anew from Eq. 2 about the mean motion's angle."""
+    lb, ub = bounds(lower, upper, speed, before, dt)
+    if lb <= angle <= ub:
+        return angle
+    about = centre if k % 4 == 3 else nearest_turn(centre, before)
+    return sample(hashed_uniform(seed, number + np.uint64(k)), about, spread, lb, ub)
 
 
 @njit(cache=True, forceinline=True)
@@ -317,25 +341,16 @@ def _placed(
     """Forward kinematics of one arm in the lanes where it was moved (kinecast.body.arm_angles.arm_vectors)."""
     for lane in range(LANES):
         at = ANGLES + to_angles + lane
-        s1, c1 = sine_cosine(work[at])
-        s2, c2 = sine_cosine(work[at + LANES])
-        s3, c3 = sine_cosine(work[at + 2 * LANES])
-        s4, c4 = sine_cosine(work[at + 3 * LANES])
-        upper, fore = work[LENGTHS + to_lengths + lane], work[LENGTHS + to_lengths + LANES + lane]
+        theta = (work[at], work[at + LANES], work[at + 2 * LANES], work[at + 3 * LANES])
+        at = LENGTHS + to_lengths + lane
+        upper_arm, forearm = arm_vectors(theta, work[at], work[at + LANES], side)
         sa, ca = work[TORSO + lane], work[TORSO + LANES + lane]
         sb, cb = work[TORSO + 2 * LANES + lane], work[TORSO + 3 * LANES + lane]
-        ux, uy, uz = c2 * s1, side * s2, -c2 * c1
-        along, ahead, outward = fore * c4, fore * s4 * c3, fore * s4 * s3
-        fx = along * ux + ahead * c1 - outward * s2 * s1
-        fy = along * uy + outward * side * c2
-        fz = along * uz + ahead * s1 + outward * s2 * c1
-        level = cb * uy - sb * uz
+        ux, uy, uz = out_of_torso(upper_arm, sa, ca, sb, cb)
+        fx, fy, fz = out_of_torso(forearm, sa, ca, sb, cb)
         at = POINTS + to_points + lane
-        ex = work[at] + upper * (ca * ux - sa * level)
-        ey = work[at + LANES] + upper * (sa * ux + ca * level)
-        ez = work[at + 2 * LANES] + upper * (sb * uy + cb * uz)
-        level = cb * fy - sb * fz
-        wx, wy, wz = ex + ca * fx - sa * level, ey + sa * fx + ca * level, ez + sb * fy + cb * fz
+        ex, ey, ez = work[at] + ux, work[at + LANES] + uy, work[at + 2 * LANES] + uz
+        wx, wy, wz = ex + fx, ey + fy, ez + fz
         moved = work[MOVED + to_flags + lane] == 1.0
         work[at + 3 * LANES] = ex if moved else work[at + 3 * LANES]
         work[at + 4 * LANES] = ey if moved else work[at + 4 * LANES]
@@ -380,10 +395,8 @@ def _moved_inside(
     broken = False
     for k in range(8):
         d = 6 + k + 2 * (k // 4)
-        lb, ub = bounds(lower[d], upper[d], ceiling[d], before[d], dt)
-        if not lb <= now[d] <= ub:
-            about = centre[d] if k % 4 == 3 else nearest_turn(centre[d], before[d])
-            now[d] = sample(hashed_uniform(seed, number + np.uint64(k)), about, spread[d], lb, ub)
-            broken = True
+        angle = _bounded(now[d], before[d], k, seed, number, centre[d], spread[d], lower[d], upper[d], ceiling[d], dt)
+        broken |= angle != now[d]
+        now[d] = angle
     if broken:
         points_of_posture(now, pose)
