@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from kinecast.errors import MissingExtraError
 from kinecast.evaluation.palette import INK
-from kinecast.evaluation.scenery import Camera, draw_obstacles
+from kinecast.evaluation.scenery import Camera, draw_obstacles, visible_faces
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box
 from kinecast.robot.cell import Cell
@@ -88,16 +88,10 @@ def _cube(axes: Axes, center: Float[np.ndarray, "3"], size: float, colour: str) 
     """A cube with its visible faces."""
     base, rotation = np.array(to_rgb(colour)), Box(center, np.full(3, size)).rotation
     depth = 3.0 + 0.1 * float(CELL_VIEW.depth(center))
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            normal = sign * rotation[:, axis]
-            middle = center + size / 2 * normal
-            if CELL_VIEW.towards(middle) @ normal <= 0:
-                continue
-            u, v = (rotation[:, other] * size / 2 for other in range(3) if other != axis)
-            face = CELL_VIEW.page(np.stack([middle + u + v, middle + u - v, middle - u - v, middle - u + v]))
-            light = 1.0 if normal[2] > 0.5 else 0.82 if abs(normal[1]) > 0.5 else 0.68
-            axes.add_patch(Polygon(face, fc=tuple(base * light), ec="#00000055", lw=0.5, zorder=depth))
+    for normal, corners in visible_faces(CELL_VIEW, center, rotation, np.full(3, size / 2)):
+        light = 1.0 if normal[2] > 0.5 else 0.82 if abs(normal[1]) > 0.5 else 0.68
+        face = CELL_VIEW.page(corners)
+        axes.add_patch(Polygon(face, fc=tuple(base * light), ec="#00000055", lw=0.5, zorder=depth))
 
 
 def _capsule(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ try:
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
 
-__all__ = ["OBSTACLE", "Camera", "draw_obstacles"]
+__all__ = ["OBSTACLE", "Camera", "draw_obstacles", "visible_faces"]
 
 OBSTACLE = "#ecd7ad"
 EDGE = "#a9874a"
@@ -111,20 +112,33 @@ def _patch(row: Float[np.ndarray, " 17"], shown: Float[np.ndarray, "K 3"]) -> Fl
     return np.concatenate([[1.0], centre, rotation.ravel(), [PATCH, PATCH, THICKNESS / 2, 0.0]])
 
 
+def visible_faces(
+    camera: Camera, centre: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"], half: Float[np.ndarray, " 3"]
+) -> Iterator[tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "4 3"]]]:
+    """Outward normal and corners of each face of a box that the camera sees.
+
+    Args:
+        camera: the view.
+        centre, rotation: of the box in the world [m].
+        half: half its sides [m].
+    """
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            normal = sign * rotation[:, axis]
+            middle = centre + half[axis] * normal
+            if camera.towards(middle) @ normal <= 1e-9:
+                continue
+            u, v = (rotation[:, other] * half[other] for other in range(3) if other != axis)
+            yield normal, np.stack([middle + u + v, middle + u - v, middle - u - v, middle - u + v])
+
+
 def _solid(axes: Axes, camera: Camera, row: Float[np.ndarray, " 17"], ghost: bool = False) -> None:
     """A rounded box: its visible faces where it has no radius, else its outline."""
     centre, rotation, half, radius = row[1:4], row[4:13].reshape(3, 3), row[13:16], row[16]
     if radius == 0.0 and not ghost:
-        for axis in range(3):
-            for sign in (-1.0, 1.0):
-                normal = sign * rotation[:, axis]
-                middle = centre + half[axis] * normal
-                if camera.towards(middle) @ normal <= 1e-9:
-                    continue
-                u, v = (rotation[:, other] * half[other] for other in range(3) if other != axis)
-                corners = np.stack([middle + u + v, middle + u - v, middle - u - v, middle - u + v])
-                light = 0.86 + 0.14 * max(normal[2], 0.0)  # from above
-                axes.add_patch(_polygon(camera.page(corners), light))
+        for normal, corners in visible_faces(camera, centre, rotation, half):
+            light = 0.86 + 0.14 * max(normal[2], 0.0)  # from above
+            axes.add_patch(_polygon(camera.page(corners), light))
         return
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     corners = centre + signs * half @ rotation.T

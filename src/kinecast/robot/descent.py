@@ -66,6 +66,28 @@ def _push(
 
 @njit(cache=True)
 @no_type_check
+def _repel(
+    places: np.ndarray,
+    frames: np.ndarray,
+    joint: int,
+    w: int,
+    p: int,
+    gap: float,
+    direction: tuple[float, float, float],
+    zone: float,
+    out: np.ndarray,
+) -> None:
+    """Adds what pushes one body point along the direction in which its distance to an obstacle grows."""
+    cost, slope = _cost(gap, zone)
+    if slope != 0.0:
+        gx, gy, gz = direction
+        force = _push(places, w, p, cost, slope * gx, slope * gy, slope * gz)
+        place = (places[w, p, 0], places[w, p, 1], places[w, p, 2])
+        _add_torque(frames, joint, place, force, out)
+
+
+@njit(cache=True)
+@no_type_check
 def _way(places: np.ndarray, looked: np.ndarray, w: int, p: int) -> float:
     """How far a body point is from where its distance was last measured [m]."""
     x, y, z = places[w, p, 0] - looked[w, p, 0], places[w, p, 1] - looked[w, p, 1], places[w, p, 2] - looked[w, p, 2]
@@ -142,23 +164,15 @@ def descend(
                     gap, gx, gy, gz = nearest_capsule(prepared[w], x, y, z, scratch)
                     gap -= radius[p] + person_margin
                     worst = min(worst, gap)
-                    cost, slope = _cost(gap, person_zone)
-                    if slope != 0.0:
-                        force = _push(places, w, p, cost, slope * gx, slope * gy, slope * gz)
-                        _add_torque(frames[w], joint[p], (x, y, z), force, torque[w - 1])
-                    spare[0, w, p] = gap - person_zone
-                    looked[0, w, p, 0], looked[0, w, p, 1], looked[0, w, p, 2] = x, y, z
+                    _repel(places, frames[w], joint[p], w, p, gap, (gx, gy, gz), person_zone, torque[w - 1])
+                    spare[0, w, p], looked[0, w, p] = gap - person_zone, places[w, p]
                 moved = _way(places, looked[1], w, p)
                 if moved >= spare[1, w, p]:
                     gap, gx, gy, gz = nearest_obstacle(obstacles[w], first_link, link[p], x, y, z, np.inf)
                     gap -= radius[p] + scene_margin
                     worst = min(worst, gap)
-                    cost, slope = _cost(gap, scene_zone)
-                    if slope != 0.0:
-                        force = _push(places, w, p, cost, slope * gx, slope * gy, slope * gz)
-                        _add_torque(frames[w], joint[p], (x, y, z), force, torque[w - 1])
-                    spare[1, w, p] = gap - scene_zone
-                    looked[1, w, p, 0], looked[1, w, p, 1], looked[1, w, p, 2] = x, y, z
+                    _repel(places, frames[w], joint[p], w, p, gap, (gx, gy, gz), scene_zone, torque[w - 1])
+                    spare[1, w, p], looked[1, w, p] = gap - scene_zone, places[w, p]
         if worst > least:
             if worst > least + PROGRESS:
                 improved = iteration
