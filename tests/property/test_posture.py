@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -46,8 +46,17 @@ def _sine_of_degeneracy(posture: np.ndarray) -> float:
     return float(np.min(np.abs([np.cos(posture[[7, 13]]), np.sin(posture[[9, 15]])])))
 
 
+TINY = 7.5e-158
+"""Its square is no longer held to all digits."""
+NARROW = np.full((6, 3), TINY)
+NARROW[0, :2], NARROW[2, 0] = 0.0, 1.0
+SHORT = np.array([[0, 0.2, 0], [TINY, 0.2, -3 * TINY], [1, 0.2, 0], [0, -0.2, 0], [0, -0.2, 2 * TINY], [0, -0.2, 1]])
+
+
 @settings(max_examples=300, deadline=None)
 @given(points, previous_postures)
+@example(NARROW, np.full(18, np.nan))
+@example(SHORT, np.full(18, np.nan))
 def test_points_come_back_from_any_posture(x: np.ndarray, previous: np.ndarray) -> None:
     for start in (None, previous):
         back = points_from_postures(postures_from_points(x[None], start))[0]

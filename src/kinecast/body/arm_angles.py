@@ -22,6 +22,7 @@ from numba import njit
 from kinecast.body.elementary import sine_cosine
 
 __all__ = [
+    "COINCIDENT",
     "LEFT",
     "OUTSIDE_WEIGHT",
     "RIGHT",
@@ -64,6 +65,9 @@ FAR = math.radians(195.0)
 
 UNDEFINED = 1e-13
 """Sine below which a direction is round-off: the angle about it is undefined and keeps its previous value."""
+
+COINCIDENT = 1e-140
+"""Points nearer than this [m] are one: squares of what is UNDEFINED times smaller still have all their digits."""
 
 
 @njit(cache=True)
@@ -152,9 +156,9 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: floa
         p3, p4 = REST[2], REST[3]
 
     swing = math.sqrt(u[0] * u[0] + u[2] * u[2])
-    s2, c2 = (side * u[1] / upper, swing / upper) if upper > 0.0 else (0.0, 1.0)
+    s2, c2 = (side * u[1] / upper, swing / upper) if upper > COINCIDENT else (0.0, 1.0)
     theta2 = math.atan2(s2, c2)
-    if swing > UNDEFINED * upper:
+    if upper > COINCIDENT and swing > UNDEFINED * upper:
         theta1 = math.atan2(u[0], -u[2])
         s1, c1 = u[0] / swing, -u[2] / swing
     else:

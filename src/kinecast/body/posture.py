@@ -26,6 +26,7 @@ from jaxtyping import Float
 from numba import njit
 
 from kinecast.body.arm_angles import (
+    COINCIDENT,
     LEFT,
     OUTSIDE_WEIGHT,
     RIGHT,
@@ -101,7 +102,7 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, o
     level = math.sqrt(d[0] * d[0] + d[1] * d[1])
     width = _length(d)
     yaw = math.nan if math.isnan(width) else previous[3]
-    if level > UNDEFINED * width:
+    if width > COINCIDENT and level > UNDEFINED * width:
         turned = math.atan2(-d[0], d[1])
         yaw = turned if math.isnan(yaw) else nearest_turn(turned, yaw)
         sy, cy = -d[0] / level, d[1] / level
@@ -111,10 +112,9 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, o
     for axis in range(3):
         out[axis] = 0.5 * (points[0, axis] + points[3, axis])
     out[3] = yaw
-    # A width whose square underflows is none: no roll either.
-    out[4] = math.atan2(d[2], level) if width > 0.0 else 0.0 * width
+    out[4] = math.atan2(d[2], level) if width > COINCIDENT else 0.0 * width
     out[5] = width
-    sr, cr = (d[2] / width, level / width) if width > 0.0 else (0.0, 1.0)
+    sr, cr = (d[2] / width, level / width) if width > COINCIDENT else (0.0, 1.0)
 
     for arm in range(2):
         shoulder, at = 3 * arm, 6 + 6 * arm

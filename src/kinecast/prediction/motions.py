@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-from kinecast.body.arm_angles import UNDEFINED, arm_vectors, nearest_turn
+from kinecast.body.arm_angles import COINCIDENT, UNDEFINED, arm_vectors, nearest_turn
 from kinecast.body.elementary import arctangent, sine_cosine
 from kinecast.body.limits import JointLimits, bounds, posture_bounds, speeds_within_wrist_speed
 from kinecast.body.posture import (
@@ -217,7 +217,7 @@ def _torso(work: Float[np.ndarray, " W"]) -> None:
         width = math.sqrt(x * x + y * y + z * z)
         work[TORSO + lane], work[TORSO + LANES + lane] = -x / level, y / level
         work[TORSO + 2 * LANES + lane], work[TORSO + 3 * LANES + lane] = z / width, level / width
-        work[SURE + lane] = work[SURE + lane] if level > UNDEFINED * width else 0.0
+        work[SURE + lane] = work[SURE + lane] if (width > COINCIDENT) & (level > UNDEFINED * width) else 0.0
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -282,7 +282,7 @@ def _angles(
         held &= (h3 >= min(max(low3, p3 - r3), p3 + r3)) & (h3 <= max(min(up3, p3 + r3), p3 - r3))
         held &= (h4 >= min(max(low4, p4 - r4), p4 + r4)) & (h4 <= max(min(up4, p4 + r4), p4 - r4))
         work[HELD + to_flags + lane] = 1.0 if held else 0.0
-        defined = (swing > UNDEFINED * bone) & (across > UNDEFINED * abs(along))
+        defined = (bone > COINCIDENT) & (swing > UNDEFINED * bone) & (across > UNDEFINED * abs(along))
         work[SURE + lane] = work[SURE + lane] if defined else 0.0
 
 

@@ -214,17 +214,19 @@ def test_a_single_frame_and_no_window_are_accepted() -> None:
     assert none.positions.shape == (0, 6, 6, 3)
 
 
-def test_one_window_takes_a_tenth_of_a_millisecond() -> None:
+def test_one_window_takes_no_longer_than_a_few_medians_of_it() -> None:
     window = np.concatenate([line(), line()[:, :1]], axis=1)
     window[2, 1] = window[-1, 4] = np.nan
-    repair_window(window, STAMPS)
-    took = []
+    repair, medians = [], []
     for _ in range(1000):
         started = time.perf_counter()
         repair_window(window, STAMPS)
-        took.append(time.perf_counter() - started)
-    # The shape checks of the test run take as long again.
-    assert min(took) < 2e-4
+        repaired = time.perf_counter()
+        np.nanmedian(window, axis=0)
+        repair.append(repaired - started)
+        medians.append(time.perf_counter() - repaired)
+    # A tenth of one without the shape checks of the test run, which take as long as a whole one.
+    assert min(repair) < 4 * min(medians)
 
 
 def test_repair_brings_real_windows_nearer_to_hindsight(data_root: Path) -> None:
