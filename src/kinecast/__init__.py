@@ -8,6 +8,13 @@ prediction.tubes(0.95), prediction.log_prob(positions), prediction.probability_o
 Types first: kinecast.types. Recordings: kinecast.datasets.loading. Training: kinecast.prediction.methods.
 """
 
+import os
+
+# Threads of compiled loops that wait by spinning starve whatever else the robot runs, and then each other: with one
+# other busy process on two cores p99 of an online step was 80 ms, 14 ms without (docs/decisions/0015). Read once, when
+# the OpenMP library is loaded; who has chosen otherwise keeps their choice.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import KinecastError
 from kinecast.geometry.scene import Scene

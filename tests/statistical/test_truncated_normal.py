@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from kinecast.prediction.truncated_normal import TruncatedNormal, keep_or_redraw, noisy_log_pdf
+from kinecast.prediction.truncated_normal import TruncatedNormal, draw, keep_or_redraw, noisy_log_pdf
 
 DRAWS = 40_000
 LIMIT = stats.kstwobign.isf(1e-6) / math.sqrt(DRAWS)
@@ -56,6 +56,35 @@ def test_keep_or_redraw_has_the_law_of_the_truncated_normal(lower: float, upper:
     draws = np.array([keep_or_redraw(z, u, mean, sd, lower, upper) for z, u in zip(normal, uniform, strict=True)])
     peer = stats.truncnorm((lower - mean) / sd, (upper - mean) / sd, loc=mean, scale=sd)
     assert discrepancy(draws, peer.cdf) < LIMIT
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "lower", "upper"),
+    [
+        (0.0, 1.0, -0.4, 0.4),  # flat between its bounds: accepted at once
+        (1.0, 0.5, 0.2, 0.8),
+        (-1.0, 0.5, 0.2, 0.5),
+        (0.0, 1.0, -1.7, 1.7),  # as steep as is accepted
+        (0.3, 1.0, -2.0, 4.0),  # the quantile
+        (0.0, 1.0, 4.0, 5.0),
+        (0.0, 1.0, -math.inf, -1.0),
+        (0.0, 1.0, -math.inf, math.inf),
+    ],
+)
+def test_seeded_draws_follow_scipys_truncated_normal(mean: float, sd: float, lower: float, upper: float) -> None:
+    seeds = np.random.default_rng(5).integers(0, 2**64, size=DRAWS, dtype=np.uint64)
+    draws = np.array([draw(seed, mean, sd, lower, upper) for seed in seeds])
+    assert draws.min() >= lower
+    assert draws.max() <= upper
+    peer = stats.truncnorm((lower - mean) / sd, (upper - mean) / sd, loc=mean, scale=sd)
+    assert discrepancy(draws, peer.cdf) < LIMIT
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "lower", "upper"), [(0.5, 0.0, 0.0, 1.0), (2.0, 0.0, 0.0, 1.0), (0.3, 1.0, 0.7, 0.7)]
+)
+def test_a_point_mass_is_drawn_as_it_is(mean: float, sd: float, lower: float, upper: float) -> None:
+    assert draw(np.uint64(1), mean, sd, lower, upper) == min(max(mean, lower), upper)
 
 
 @pytest.mark.parametrize(("mean", "noise"), [(0.0, 0.3), (-5.0, 0.05), (30.0, 0.2)])

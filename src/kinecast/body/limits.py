@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import no_type_check
 
 import numpy as np
@@ -145,12 +146,14 @@ class JointLimits:
         self,
     ) -> tuple[Float[np.ndarray, " 18"], Float[np.ndarray, " 18"], Float[np.ndarray, " 18"]]:
         """(18,) lower [rad], upper [rad], speed [rad/s] of a posture; infinite for all but the arm angles."""
-        lower, upper, speed = (np.full(POSTURE_SIZE, value) for value in (-np.inf, np.inf, np.inf))
-        places = list(ANGLES)
-        lower[places] = np.tile(self.lower[:4], 2)
-        upper[places] = np.tile(self.upper[:4], 2)
-        speed[places] = np.tile(self.speed[:4], 2)
-        return lower, upper, speed
+        lower, upper, speed = self._of_posture
+        return lower.copy(), upper.copy(), speed.copy()
+
+    @cached_property
+    def _of_posture(self) -> Float[np.ndarray, "3 18"]:
+        result = np.repeat([[-np.inf], [np.inf], [np.inf]], POSTURE_SIZE, axis=1)
+        result[:, list(ANGLES)] = np.tile([self.lower[:4], self.upper[:4], self.speed[:4]], 2)
+        return result
 
 
 def posture_bounds(

@@ -7,24 +7,28 @@ shoulders.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numba import njit
 
 from kinecast.errors import DatasetError
 
 __all__ = ["Torso", "UpSource", "torso_frame", "up_source"]
-
-WORLD_UP = np.array([0.0, 0.0, 1.0])
 
 LEAST_LENGTH = 0.08
 """A joint nearer than this to the middle of the shoulders, off their line, gives no direction [m]."""
 
 LEAST_SINE = 0.35
 """A direction nearer than 20° to the shoulder line gives no up."""
+
+SHORT = 1e-6
+"""A line shorter than this [m] has no direction."""
 
 LEAST_RISE = 0.7
 """Neck and head must lie within 45° of world up, seen along the shoulder line: both nod and crane forward."""
@@ -134,31 +138,37 @@ class _Shoulders:
             if name not in joints:
                 found = ", ".join(joints) or "no joint"
                 raise DatasetError("torso frame", f"{name} is needed; the joints are {found}")
-        left = positions[:, joints.index("left_shoulder")]
-        right = positions[:, joints.index("right_shoulder")]
+        left = np.asarray(positions[:, joints.index("left_shoulder")], dtype=np.float64)
+        right = np.asarray(positions[:, joints.index("right_shoulder")], dtype=np.float64)
         self.middle = 0.5 * (left + right)
         self.tracked = np.isfinite(self.middle).all(axis=-1)
-        # Coincident shoulders face along world x, an upright shoulder line too: any choice, but never NaN.
-        self.leftward = _direction(left - right, np.array([0.0, 1.0, 0.0]))
-        ahead = _cross(self.leftward, WORLD_UP)
-        across = _cross(_cross(self.leftward, np.array([1.0, 0.0, 0.0])), self.leftward)
-        self.forward = _direction(ahead, across)
-        self.up = _cross(self.forward, self.leftward)
+        axes = np.empty((3, len(left), 3))
+        _shoulder_axes(left, right, axes)
+        self.forward, self.leftward, self.up = axes
 
 
-def _cross(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*#batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """a × b row by row; np.cross takes several times as long for a single one."""
-    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+@njit(cache=True)
+@no_type_check
+def _shoulder_axes(
+    left: Float[np.ndarray, "N 3"], right: Float[np.ndarray, "N 3"], axes: Float[np.ndarray, "3 N 3"]
+) -> None:
+    """Unit vectors forward, leftward and up of each shoulder line; NaN where a shoulder is.
 
-
-def _direction(
-    vectors: Float[np.ndarray, "N 3"], otherwise: Float[np.ndarray, "#N 3"] | Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, "N 3"]:
-    """Unit vectors; those shorter than 1e-6 take the direction of `otherwise`."""
-    short = ~(np.linalg.norm(vectors, axis=-1, keepdims=True) > 1e-6)
-    chosen = np.where(short, otherwise, vectors)
-    length = np.linalg.norm(chosen, axis=-1, keepdims=True)
-    return chosen / np.where(length > 0.0, length, 1.0)
+    Coincident shoulders face along world x, an upright shoulder line as near to it as can be: any choice, but never
+    NaN.
+    """
+    for n in range(len(left)):
+        x, y, z = left[n, 0] - right[n, 0], left[n, 1] - right[n, 1], left[n, 2] - right[n, 2]
+        width = math.sqrt(x * x + y * y + z * z)
+        x, y, z = (0.0, 1.0, 0.0) if width <= SHORT else (x / width, y / width, z / width)
+        # Forward is leftward × world up; where these are one line, world x freed of what lies along the line.
+        level = math.sqrt(x * x + y * y)
+        ahead = (y * y + z * z, -x * y, -x * z) if level <= SHORT else (y, -x, 0.0)
+        length = math.sqrt(ahead[0] ** 2 + ahead[1] ** 2 + ahead[2] ** 2)
+        fx, fy, fz = ahead[0] / length, ahead[1] / length, ahead[2] / length
+        axes[0, n] = fx, fy, fz
+        axes[1, n] = x, y, z
+        axes[2, n] = fy * z - fz * y, fz * x - fx * z, fx * y - fy * x
 
 
 def _lean(

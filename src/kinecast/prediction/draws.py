@@ -15,7 +15,7 @@ from numba import njit, prange
 
 from kinecast.body.elementary import logarithm, sine_cosine
 
-__all__ = ["hashed_uniform", "normals", "uniforms"]
+__all__ = ["hashed", "hashed_uniform", "normals", "uniforms"]
 
 BLOCKS, LANES = 16, 64
 """Streams: LANES of them side by side in each block."""
@@ -77,10 +77,16 @@ def _fill(seeds: UInt64[np.ndarray, "B 4 L"], normal: bool, out: Float[np.ndarra
 
 @njit(cache=True)
 @no_type_check
-def hashed_uniform(seed: np.uint64, number: np.uint64) -> float:
-    """The number-th uniform draw in (0, 1) of a seed (splitmix64: Steele, Lea and Flood, 2014), for the few wanted."""
+def hashed(seed: np.uint64, number: np.uint64) -> np.uint64:
+    """The number-th 64 random bits of a seed (splitmix64: Steele, Lea and Flood, 2014); a seed in its turn."""
     z = seed + (number + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z ^= z >> np.uint64(31)
-    return ((z >> np.uint64(12)) + 0.5) * 2.0**-52
+    return z ^ (z >> np.uint64(31))
+
+
+@njit(cache=True)
+@no_type_check
+def hashed_uniform(seed: np.uint64, number: np.uint64) -> float:
+    """The number-th uniform draw in (0, 1) of a seed, for the few wanted."""
+    return ((hashed(seed, number) >> np.uint64(12)) + 0.5) * 2.0**-52

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, no_type_check, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from kinecast.geometry.scene import Scene
@@ -159,20 +159,28 @@ def within_scene(forecast: Forecast, observation: Observation, rng: np.random.Ge
 
     A motion leaves the set at the step where a joint or limb enters an obstacle and does not come back.
     """
-    free = scene.free(forecast.samples, observation.times(forecast.samples.shape[1]))
-    alive = np.logical_and.accumulate(free, axis=1)
-    survivors = np.flatnonzero(alive[:, -1])
+    steps = forecast.samples.shape[1]
+    alive = steps_alive(scene.free(forecast.samples, observation.times(steps)))
+    survivors = np.flatnonzero(alive == steps)
+    accepted = np.cumsum(np.bincount(alive, minlength=steps + 1)[:0:-1])[::-1] / len(alive)
     if len(survivors) == 0:
-        return replace(forecast, accepted=alive.mean(axis=0), distinct=0)
-    if len(survivors) == len(free):
+        return replace(forecast, accepted=accepted, distinct=0)
+    if len(survivors) == len(alive):
         return forecast
     # Systematic resampling: every survivor is kept equally often, to within one.
-    offsets = (np.arange(len(free)) + rng.random()) * len(survivors) / len(free)
+    offsets = (np.arange(len(alive)) + rng.random()) * len(survivors) / len(alive)
     samples = forecast.samples[survivors[offsets.astype(int)]]
-    return replace(
-        forecast,
-        samples=samples,
-        mean=samples.mean(axis=0),
-        accepted=alive.mean(axis=0),
-        distinct=len(survivors),
-    )
+    return replace(forecast, samples=samples, mean=samples.mean(axis=0), accepted=accepted, distinct=len(survivors))
+
+
+@njit(cache=True)
+@no_type_check
+def steps_alive(free: Bool[np.ndarray, "S T"]) -> Int[np.ndarray, " S"]:
+    """(S,) steps that each motion takes before the first at which it is not free."""
+    alive = np.empty(len(free), dtype=np.int64)
+    for s in range(len(free)):
+        t = 0
+        while t < free.shape[1] and free[s, t]:
+            t += 1
+        alive[s] = t
+    return alive

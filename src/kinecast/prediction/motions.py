@@ -24,10 +24,10 @@ from kinecast.body.posture import (
     posture_of_points,
     postures_from_points,
 )
-from kinecast.prediction.draws import hashed_uniform
+from kinecast.prediction.draws import hashed
 from kinecast.prediction.lanes import LANES
 from kinecast.prediction.noise import angle_noise
-from kinecast.prediction.truncated_normal import sample
+from kinecast.prediction.truncated_normal import draw
 
 __all__ = ["draw_motions"]
 
@@ -75,11 +75,14 @@ def draw_motions(
         (S, T, 6, 3) positions in the world [m].
     """
     steps, padding = len(mean), -len(draws) % STRIP
+    rows = factor.reshape(18 * steps, -1)
+    if padding:
+        rows, draws = np.pad(rows, ((0, 0), (0, padding))), np.pad(draws, ((0, padding), (0, 0)))
     centre = postures_from_points(mean, initial, continuous=True, usual=False)
     return _motions(
         mean.reshape(steps, 18),
-        np.pad(factor.reshape(18 * steps, -1), ((0, 0), (0, padding))),
-        np.pad(draws, ((0, padding), (0, 0))),
+        rows,
+        draws,
         limits is not None,
         np.uint64(rng.integers(2**63)),
         centre,
@@ -330,7 +333,7 @@ def _bounded(
     if lb <= angle <= ub:
         return angle
     about = centre if k % 4 == 3 else nearest_turn(centre, before)
-    return sample(hashed_uniform(seed, number + np.uint64(k)), about, spread, lb, ub)
+    return draw(hashed(seed, number + np.uint64(k)), about, spread, lb, ub)
 
 
 @njit(cache=True, forceinline=True)

@@ -45,8 +45,7 @@ class PredictorOptions:
         longest_delay: a frame older than this when it arrives is LATE [s].
         most_persons: persons followed at once; the one not seen for longest is forgotten first.
         forget_after: a person not seen for this long is forgotten [s].
-        threads: cores that compiled loops may use, where there are so many; they wait busily for one another, so
-            leave some to the rest of the robot.
+        threads: cores that compiled loops may use, where there are so many; leave some to the rest of the robot.
     """
 
     samples: int = 1000

@@ -23,6 +23,7 @@ from jaxtyping import Float
 from numba import njit, vectorize
 
 from kinecast.errors import OptionError
+from kinecast.prediction.draws import hashed_uniform
 from kinecast.prediction.normal_tails import (
     LOG_SQRT_2PI,
     SQRT_HALF,
@@ -34,6 +35,7 @@ from kinecast.prediction.normal_tails import (
 
 __all__ = [
     "TruncatedNormal",
+    "draw",
     "keep_or_redraw",
     "log_cdf",
     "log_mass",
@@ -48,6 +50,10 @@ Numbers: TypeAlias = Array | float
 
 NARROW = 1e-5
 """Width [sd] below which a normal around its mean is flat, to 1e-11."""
+GENTLE = 1.5
+"""Drop of log density across the bounds up to which draws between them are accepted often: e^-1.5 of the time at least.
+"""
+MOST_TRIES = 32
 FAINT = 80.0
 """Twice the drop of log density, from its peak, beyond which moments are not integrated: e⁻⁴⁰ is nothing."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
@@ -133,6 +139,29 @@ def sample(uniform: float, mean: float, sd: float, lower: float, upper: float) -
         else:
             x = mean + sd * tail_offset(0.0, -math.log(above))
     return _nearest(x, lower, upper)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def draw(seed: np.uint64, mean: float, sd: float, lower: float, upper: float) -> float:
+    """A draw from the truncated normal, always inside [lower, upper], for a seed of its own.
+
+    Where the density hardly falls between the bounds, as with limits on speed, a uniform draw between them is accepted
+    with probability p(x)/p(r) (von Neumann's rejection), which takes a tenth of the time of the quantile.
+    """
+    near = _nearest(mean, lower, upper)
+    far = lower if upper - near < near - lower else upper
+    inverse = 1.0 / sd if sd > 0.0 else math.inf
+    c, width = (near - mean) * inverse, (far - near) * inverse
+    if width * (c + 0.5 * width) <= GENTLE:
+        for attempt in range(1, 2 * MOST_TRIES, 2):
+            x = lower + hashed_uniform(seed, np.uint64(attempt)) * (upper - lower)
+            t = (x - near) * inverse
+            drop = t * (c + 0.5 * t)
+            chance = hashed_uniform(seed, np.uint64(attempt + 1))
+            if chance <= 1.0 - drop or chance <= math.exp(-drop):
+                return _nearest(x, lower, upper)
+    return sample(hashed_uniform(seed, np.uint64(0)), mean, sd, lower, upper)
 
 
 @njit(cache=True, error_model="numpy")

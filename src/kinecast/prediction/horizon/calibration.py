@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
+import math
 from dataclasses import dataclass, field
+from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from numba import njit
 
 __all__ = ["LEVEL", "AdaptiveScale"]
 
@@ -33,11 +35,16 @@ class AdaptiveScale:
     steps: int
     radius: float
     _log: Float[np.ndarray, " T"] = field(init=False)
-    _past: deque[tuple[Float[np.ndarray, "T 6 3"], Float[np.ndarray, "T 6 3 3"]] | None] = field(init=False)
+    _means: Float[np.ndarray, "T T 6 3"] = field(init=False)
+    _whiteners: Float[np.ndarray, "T T 6 3 3"] = field(init=False)
+    _known: Bool[np.ndarray, " T"] = field(init=False)
+    _newest: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         self._log = np.zeros(self.steps)
-        self._past = deque(maxlen=self.steps)
+        self._means = np.zeros((self.steps, self.steps, 6, 3))
+        self._whiteners = np.zeros((self.steps, self.steps, 6, 3, 3))
+        self._known = np.zeros(self.steps, dtype=np.bool_)
 
     @property
     def factor(self) -> Float[np.ndarray, " T"]:
@@ -46,24 +53,45 @@ class AdaptiveScale:
 
     def skip(self) -> None:
         """A frame of which nothing is known."""
-        self._past.append(None)
+        self._newest = (self._newest + 1) % self.steps
+        self._known[self._newest] = False
 
     def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
         """Judges what was predicted for this frame; NaN joints judge nothing."""
-        if not self._past or not np.isfinite(pose).all():
-            return
-        # The newest entry was predicted one step ago.
-        kept = [(k, made) for k, made in enumerate(reversed(self._past)) if made is not None]
-        if not kept:
-            return
-        leads = np.array([k for k, _ in kept])
-        mean = np.stack([made[0][k] for k, made in kept])
-        inverse = np.stack([made[1][k] for k, made in kept])
-        white = np.einsum("tjde,tje->tjd", inverse, pose - mean) / self.factor[leads, None, None]
-        missed = (np.linalg.norm(white, axis=-1) > self.radius).mean(axis=1)
-        moved = FORGET * self._log[leads] + RATE * (missed - (1.0 - LEVEL))
-        self._log[leads] = np.clip(moved, -MOST, MOST)
+        if np.isfinite(pose).all():
+            _judge(self._means, self._whiteners, self._known, self._newest, pose, self.radius, self._log)
 
-    def predicted(self, mean: Float[np.ndarray, "T 6 3"], maps: Float[np.ndarray, "T 6 3 3"]) -> None:
-        """Keeps what is predicted from this frame on: mean [m] and the maps from unit errors to errors [m]."""
-        self._past.append((mean, np.linalg.inv(maps)))
+    def predicted(self, mean: Float[np.ndarray, "T 6 3"], whiteners: Float[np.ndarray, "T 6 3 3"]) -> None:
+        """Keeps what is predicted from this frame on: mean [m] and the maps from errors [m] to unit errors."""
+        self.skip()
+        self._known[self._newest] = True
+        self._means[self._newest], self._whiteners[self._newest] = mean, whiteners
+
+
+@njit(cache=True)
+@no_type_check
+def _judge(
+    means: Float[np.ndarray, "T T 6 3"],
+    whiteners: Float[np.ndarray, "T T 6 3 3"],
+    known: Bool[np.ndarray, " T"],
+    newest: int,
+    pose: Float[np.ndarray, "6 3"],
+    radius: float,
+    log_factor: Float[np.ndarray, " T"],
+) -> None:
+    """Moves the log of the factor at every step whose prediction has come due; the newest was made one step ago."""
+    for step in range(len(log_factor)):
+        row = (newest - step) % len(known)
+        if not known[row]:
+            continue
+        reach = radius * math.exp(log_factor[step])
+        missed = 0.0
+        for j in range(6):
+            error = pose[j] - means[row, step, j]
+            square = 0.0
+            for d in range(3):
+                w = whiteners[row, step, j, d]
+                square += (w[0] * error[0] + w[1] * error[1] + w[2] * error[2]) ** 2
+            missed += square > reach * reach
+        moved = FORGET * log_factor[step] + RATE * (missed / 6.0 - (1.0 - LEVEL))
+        log_factor[step] = min(max(moved, -MOST), MOST)

@@ -115,7 +115,8 @@ def fit_network(
         _network_loss(data.basis), start, (data.features, data.amplitude, data.target),
         steps=steps, batch=256, rate=2e-3, decay=1e-3, second=0.999, seed=seed,
     )  # fmt: skip
-    return Network(data.scale, *found)
+    W1, b1, W2, *rest = found
+    return Network(data.scale, W1, b1, W2[None], *rest)
 
 
 def _network_loss(time: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]

@@ -7,20 +7,18 @@ is multiplied by it again.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
-
-from kinecast.body.skeleton import ARM_JOINTS
+from numba import njit
 
 __all__ = ["ArmViews", "FeatureScale", "arm_views", "time_basis", "yaw_frame"]
 
 MIRROR = np.array([1.0, -1.0, 1.0])
-SWAP = [ARM_JOINTS.index(name.replace("left", "right") if "left" in name else name.replace("right", "left"))
-        for name in ARM_JOINTS]  # fmt: skip
-"""The six joints with left and right exchanged."""
 LEAST_STEP = 0.004
 """Added to the amplitude of a window [m per frame]: below it lies the sensor's noise."""
 BASIS = 6
@@ -78,20 +76,51 @@ class ArmViews:
 
 def arm_views(windows: Float[np.ndarray, "W N 6 3"]) -> ArmViews:
     """Both arms' views of windows in the world [m], N ≥ 4."""
-    count, frames = windows.shape[:2]
-    last = windows[:, -1]
+    last = np.ascontiguousarray(windows[:, -1])
     rotation = yaw_frame(last)
-    middle = 0.5 * (last[:, 0] + last[:, 3])
-    pose = (last - middle[:, None]) @ rotation
-    steps = np.diff(windows, axis=1) @ rotation[:, None]
-    steps = np.concatenate([steps, steps[:, :, SWAP] * MIRROR]).reshape(2 * count, frames - 1, 18)
-    pose = np.concatenate([pose, pose[:, SWAP] * MIRROR]).reshape(2 * count, 18)
-    amplitude = np.sqrt((steps**2).sum(axis=(1, 2)) / (frames - 1) + LEAST_STEP**2)
-    jerk = np.diff(steps, n=2, axis=1)
-    jitter = np.sqrt((jerk**2).sum(axis=(1, 2)) / (frames - 3) + 1e-8)
-    level = np.stack([np.log(amplitude), np.log(jitter / amplitude)], axis=1)
-    flat = steps.reshape(2 * count, -1) / amplitude[:, None]
-    return ArmViews(flat, pose, level, amplitude, rotation, last)
+    steps, pose, level, amplitude = _views(windows, rotation)
+    return ArmViews(steps, pose, level, amplitude, rotation, last)
+
+
+@njit(cache=True)
+@no_type_check
+def _views(
+    windows: Float[np.ndarray, "W N 6 3"], rotation: Float[np.ndarray, "W 3 3"]
+) -> tuple[Float[np.ndarray, "V F"], Float[np.ndarray, "V 18"], Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
+    """Steps, pose, level and amplitude of `ArmViews`."""
+    count, frames = windows.shape[:2]
+    steps = np.empty((2 * count, (frames - 1) * 18))
+    pose, level, amplitude = np.empty((2 * count, 18)), np.empty((2 * count, 2)), np.empty(2 * count)
+    for w in range(count):
+        R, last = rotation[w], windows[w, frames - 1]
+        for joint in range(6):
+            other = 3 * (1 - joint // 3) + joint % 3
+            for d in range(3):
+                side = -1.0 if d == 1 else 1.0
+                value = 0.0
+                for axis in range(3):
+                    value += (last[joint, axis] - 0.5 * (last[0, axis] + last[3, axis])) * R[axis, d]
+                pose[w, 3 * joint + d] = value
+                pose[count + w, 3 * other + d] = side * value
+                for frame in range(frames - 1):
+                    value = 0.0
+                    for axis in range(3):
+                        value += (windows[w, frame + 1, joint, axis] - windows[w, frame, joint, axis]) * R[axis, d]
+                    steps[w, 18 * frame + 3 * joint + d] = value
+                    steps[count + w, 18 * frame + 3 * other + d] = side * value
+        for view in (w, count + w):
+            own = steps[view]
+            square = jerk = 0.0
+            for k in range(len(own)):
+                square += own[k] * own[k]
+            for k in range(len(own) - 36):
+                jerk += (own[k + 36] - 2.0 * own[k + 18] + own[k]) ** 2
+            size = math.sqrt(square / (frames - 1) + LEAST_STEP**2)
+            amplitude[view] = size
+            level[view, 0] = math.log(size)
+            level[view, 1] = math.log(math.sqrt(jerk / (frames - 3) + 1e-8) / size)
+            own /= size
+    return steps, pose, level, amplitude
 
 
 @dataclass(frozen=True)

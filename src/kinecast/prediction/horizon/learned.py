@@ -13,7 +13,6 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import block_diag
 
 from kinecast.errors import ModelError
 from kinecast.prediction.horizon.features import ArmViews, FeatureScale, time_basis
@@ -105,12 +104,15 @@ def kernel_inputs(
 
 @dataclass(frozen=True)
 class Network:
-    """h = silu(x W1 + b1); h += silu(h W2 + b2); coefficients = h W3 + b3 + x' A, x' without the levels."""
+    """h = silu(x W1 + b1); h += silu(h W2 + b2); coefficients = h W3 + b3 + x' A, x' without the levels.
+
+    W2 is block-diagonal: G networks of U/G hidden units each work side by side, and their mean is what counts.
+    """
 
     scale: FeatureScale
     W1: Float[np.ndarray, "D U"]
     b1: Float[np.ndarray, " U"]
-    W2: Float[np.ndarray, "U U"]
+    W2: Float[np.ndarray, "G B B"]
     b2: Float[np.ndarray, " U"]
     W3: Float[np.ndarray, "U C"]
     b3: Float[np.ndarray, " C"]
@@ -118,7 +120,8 @@ class Network:
 
     def coefficients(self, features: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "V C"]:
         hidden = _silu(features @ self.W1 + self.b1)
-        hidden = hidden + _silu(hidden @ self.W2 + self.b2)
+        blocks = hidden.reshape(len(hidden), len(self.W2), -1).transpose(1, 0, 2) @ self.W2
+        hidden = hidden + _silu(blocks.transpose(1, 0, 2).reshape(hidden.shape) + self.b2)
         return hidden @ self.W3 + self.b3 + features[:, : len(self.A)] @ self.A
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -134,7 +137,7 @@ class Network:
             networks[0].scale,
             W1=np.concatenate([each.W1 for each in networks], axis=1),
             b1=np.concatenate([each.b1 for each in networks]),
-            W2=block_diag(*(each.W2 for each in networks)),
+            W2=np.concatenate([each.W2 for each in networks]),
             b2=np.concatenate([each.b2 for each in networks]),
             W3=share * np.concatenate([each.W3 for each in networks]),
             b3=np.mean([each.b3 for each in networks], axis=0),

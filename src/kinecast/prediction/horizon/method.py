@@ -49,13 +49,14 @@ LONGEST_PAUSE = 20
 
 @dataclass
 class Memory:
-    """What is remembered of one person."""
+    """What is remembered of one person: what was predicted before, and the mean and scale of the newest prediction."""
 
     gate: DueErrors
     guard: DueErrors
     mean: DueErrors
     adaptive: AdaptiveScale | None = None
     current: Means | None = None
+    scale: Float[np.ndarray, "T 6"] | None = None
     stamp: float = -np.inf
 
     def skip(self, frames: int) -> None:
@@ -223,10 +224,10 @@ class Horizon:
             memory.adaptive.observe(measured)
         means = self.mixture.follow(memory, observation.positions, measured)
         memory.stamp = observation.stamp
+        memory.scale = self.spread.scale(means.features, observation.positions)
         if memory.adaptive is not None:
             rotation = yaw_frame(observation.positions[-1])
-            scale = self.spread.scale(means.features, observation.positions)
-            memory.adaptive.predicted(means.mean, self.spread.matrices(scale, rotation))
+            memory.adaptive.predicted(means.mean, self.spread.whiteners(memory.scale, rotation))
 
     def forecast(
         self,
@@ -244,10 +245,10 @@ class Horizon:
         if memory is None or memory.current is None:
             memory = self.memory()
             self.follow(memory, observation, observation.positions[-1])
-        means = memory.current
+        means, scale = memory.current, memory.scale
         assert means is not None
+        assert scale is not None
         torso, _ = observation.frame
-        scale = self.spread.scale(means.features, observation.positions)
         if memory.adaptive is not None:
             scale = scale * memory.adaptive.factor[:, None]
         maps = self.spread.matrices(scale, torso.T @ yaw_frame(observation.positions[-1]))

@@ -8,6 +8,7 @@ samples are whole motions, and one common factor, drawn anew for each sample, th
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -90,7 +91,7 @@ class Spread:
 
     def scale(self, features: Float[np.ndarray, "6 F"], window: Float[np.ndarray, "N 6 3"]) -> Float[np.ndarray, "T 6"]:
         """(T, 6) scale of each joint's error, conformal correction included."""
-        log_scale = np.einsum("jf,jtf->tj", features, self.slope[JOINT_TYPE])
+        log_scale = (self._slope @ features[:, :, None])[:, :, 0].T
         speed = np.linalg.norm(np.diff(window, axis=0), axis=-1).mean(axis=0)
         bins = np.digitize(speed, self.edges)
         return np.exp(log_scale) * self.conformal[JOINT_TYPE, :, bins].T
@@ -99,8 +100,26 @@ class Spread:
         self, scale: Float[np.ndarray, "T 6"], rotation: Float[np.ndarray, "3 3"]
     ) -> Float[np.ndarray, "T 6 3 3"]:
         """(T, 6, 3, 3) maps from z to the error in the world [m]."""
-        shape = self.shape[JOINT_TYPE].transpose(1, 0, 2, 3)
-        return scale[..., None, None] * (rotation @ SIDES @ shape)
+        return scale[..., None, None] * (rotation @ self._axes)
+
+    def whiteners(
+        self, scale: Float[np.ndarray, "T 6"], rotation: Float[np.ndarray, "3 3"]
+    ) -> Float[np.ndarray, "T 6 3 3"]:
+        """(T, 6, 3, 3) inverses of `matrices`."""
+        return (self._inverse_axes @ rotation.T) / scale[..., None, None]
+
+    @cached_property
+    def _slope(self) -> Float[np.ndarray, "6 T F"]:
+        return self.slope[JOINT_TYPE]
+
+    @cached_property
+    def _axes(self) -> Float[np.ndarray, "T 6 3 3"]:
+        """Maps from z to the error over its scale, in the person's axes."""
+        return SIDES @ self.shape[JOINT_TYPE].transpose(1, 0, 2, 3)
+
+    @cached_property
+    def _inverse_axes(self) -> Float[np.ndarray, "T 6 3 3"]:
+        return np.linalg.inv(self._axes)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""
