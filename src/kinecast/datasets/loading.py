@@ -74,7 +74,7 @@ FORMATS = tuple(sorted({each.name for each in _formats(CENTIMETRES_Y_UP)}))
 """Names of the formats, as `load` takes them."""
 
 
-def load(path: Path, format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
+def load(path: str | Path, format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
     """Every recording in a file or folder.
 
     Args:
@@ -94,7 +94,7 @@ def load(path: Path, format: str | None = None, bvh_options: BvhOptions = CENTIM
 
 
 def load_all(
-    paths: Sequence[Path],
+    paths: Sequence[str | Path],
     format: str | None = None,
     bvh_options: BvhOptions = CENTIMETRES_Y_UP,
     progress: Callable[[int, int], None] | None = None,
@@ -107,7 +107,7 @@ def load_all(
         raise OptionError(f"format is {format!r}, expected one of {', '.join(FORMATS)}")
     formats = [each for each in _formats(bvh_options) if format in (None, each.name)]
     sources: dict[Path, tuple[Path, _Format]] = {}
-    for path in paths:
+    for path in map(Path, paths):
         if not path.exists():
             raise DatasetError(path, "no such file or folder")
         try:

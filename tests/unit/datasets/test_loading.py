@@ -62,6 +62,7 @@ def test_a_folder_is_searched_and_formats_are_found_by_content(mixed: Path) -> N
         "made": "generated", "suit": "mvnx", "clip": "ha4m-features",
     }  # fmt: skip
     assert list(found).index("Stack/2") < list(found).index("Stack/10")
+    assert [recording.name for recording in load(str(mixed))] == list(found)
 
 
 def test_a_stated_format_takes_only_its_own(mixed: Path) -> None:
