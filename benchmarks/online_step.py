@@ -5,8 +5,9 @@ python -m benchmarks.online_step [--data RECORDING] [--frames N] [--naive-frames
 Both arms, 15 steps, 1000 samples: repair, torso frame, inverse kinematics, prediction, constraints, forward kinematics,
 scene (a table and a box moving past), mean and covariance, all through `Predictor.observe`. Shipped models are taken
 as they are; the others are trained on the recording itself, which is quick and changes nothing in the time of a step.
-The naive stack (benchmarks/naive.py) does less: no repair, no torso, no scene, no summary. Without --data people are
-generated.
+The naive stack (benchmarks/naive.py) does less: no repair, no torso, no scene, no summary. Then the shipped model with
+one to four persons in view, 512 samples each; and, in processes of their own, how long a start takes and how much
+memory is resident after a thousand frames. Without --data people are generated.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,7 @@ from kinecast.prediction.paper import PostureSeries
 from kinecast.prediction.track import Track
 
 TRAINED = ("constant_velocity", "kalman", "ridge", "kalman_constrained", "ridge_constrained")
+PERSONS = (1, 2, 3, 4)
 START = """
 import time
 begin = time.perf_counter()
@@ -46,6 +49,17 @@ imported = time.perf_counter()
 Predictor.shipped()
 print(imported - begin, time.perf_counter() - imported)
 """
+RESIDENT = """
+import resource
+import numpy as np
+from kinecast import ARM_JOINTS, Box, Predictor, Scene, SkeletonFrame
+predictor = Predictor.shipped(Scene((Box(np.array([0.5, 0.0, 0.7]), np.array([0.8, 1.6, 0.04])),)))
+rest = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
+for k in range(1000):
+    predictor.observe(SkeletonFrame(k / 30, ARM_JOINTS, rest + 0.05 * np.sin(0.2 * k)))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+"""Prints the most that was ever resident, in KiB on Linux."""
 
 
 def main() -> None:
@@ -63,7 +77,8 @@ def main() -> None:
     recording = max(recordings, key=lambda each: len(each.stamps))
     before = facts()
     result = run(recording, arguments.frames, arguments.naive_frames, arguments.samples)
-    save("online_step", {**result, "start_up_s": start_up()}, arguments.out, before)
+    result |= {"persons": crowd(recording, arguments.frames), "start_up_s": start_up(), "resident_mib": resident()}
+    save("online_step", result, arguments.out, before)
     report(result)
 
 
@@ -147,6 +162,28 @@ def surroundings(recording: Recording) -> Scene:
     return Scene((table, MovingObstacle(box, motion)))
 
 
+def crowd(recording: Recording, count: int, persons: Sequence[int] = PERSONS, samples: int = 512) -> dict[str, Any]:
+    """Milliseconds that one camera frame takes with several persons in view, the shipped model, by their number."""
+    seen = list(frames(recording))[:count]
+    result = {}
+    for number in persons:
+        predictor = Predictor.shipped(surroundings(recording), PredictorOptions(samples=samples))
+        wall = []
+        for frame in seen:
+            begin = time.perf_counter()
+            for person in range(number):
+                predictor.observe(replace(frame, person=str(person)))
+            wall.append(time.perf_counter() - begin)
+        result[str(number)] = milliseconds(wall[predictor.method.frames :])
+    return result
+
+
+def resident() -> float:
+    """MiB resident at most over a thousand frames, in a fresh process."""
+    done = subprocess.run([sys.executable, "-c", RESIDENT], capture_output=True, text=True, check=True)
+    return float(done.stdout) / 1024
+
+
 def start_up() -> dict[str, float]:
     """Seconds to import, and to load the shipped model and make its first predictions, in a fresh process."""
     done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, check=True)
@@ -161,6 +198,12 @@ def report(result: Mapping[str, Any]) -> None:
         figures = "".join(f"{row[key]:10.1f}" for key in ("least_ms", "p50_ms", "p99_ms", "cpu_p50_ms"))
         print(f"{name:20}{figures}{row['count']:8.0f}")
     print(f"gp_constrained is {result['naive_over_gp_constrained']:.0f} times as fast as the naive stack")
+    for number, row in result.get("persons", {}).items():
+        print(f"{number} persons, 512 samples: p50 {row['p50_ms']:.1f} ms, p99 {row['p99_ms']:.1f} ms a camera frame")
+    if "start_up_s" in result:
+        seconds = result["start_up_s"]
+        print(f"start: import {seconds['import']:.2f} s, first prediction {seconds['first_prediction']:.2f} s more")
+        print(f"resident: {result['resident_mib']:.0f} MiB")
 
 
 if __name__ == "__main__":

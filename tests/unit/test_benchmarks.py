@@ -53,6 +53,13 @@ def test_the_table_names_every_method(step: dict[str, Any], capsys: pytest.Captu
     assert "naive stack" in lines[-2]
 
 
+def test_several_persons_take_longer_than_one() -> None:
+    [recording] = generate(SyntheticOptions(subjects=1, recordings=1, duration=4.0), seed=0)
+    rows = online_step.crowd(recording, 30, persons=(1, 4), samples=16)
+    assert rows["4"]["count"] == rows["1"]["count"] > 0
+    assert rows["4"]["p50_ms"] > rows["1"]["p50_ms"]
+
+
 def test_closed_form_is_exact_and_the_fastest() -> None:
     solvers = inverse_kinematics.run(3)["solvers"]
     exact = solvers["closed form"]
