@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,18 +12,20 @@ from tyro.conf import arg
 
 from kinecast import __version__
 from kinecast.cli.destination import check_folder
-from kinecast.cli.options import Folder, check_seed
+from kinecast.cli.options import Switch, check_seed
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
     from kinecast.evaluation.outcome import Outcome
     from kinecast.robot.episode import Episode
+    from kinecast.robot.person import PlayedPerson
     from kinecast.types import Decision
 
-__all__ = ["simulate"]
+__all__ = ["Cast", "closing_table", "sentence", "simulate", "write"]
 
 SYNTHETIC = "synthetic"
+OUT = Path("kinecast-simulate")
 
 ScenarioName = Annotated[
     str,
@@ -40,6 +43,7 @@ PredictorName = Annotated[
         "oracle: what will happen; none: measured distances alone.",
     ),
 ]
+OutFolder = Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint=f"(default: {OUT})")]
 PersonName = Annotated[str, arg(metavar="synthetic|PATH", help="a generated person, or a recording that is played.")]
 
 
@@ -49,7 +53,10 @@ def simulate(
     predictor: PredictorName = "kinecast",
     seed: int = 0,
     samples: int = 200,
-    out: Folder = Path("kinecast-simulate"),
+    view: Switch = False,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    out: OutFolder = None,
 ) -> None:
     """Simulates a UR5 that picks and places a red, a green and a blue cube at a table shared with a person.
 
@@ -59,46 +66,89 @@ def simulate(
         predictor: what predicts the person.
         seed: of the person and the camera; the same seed gives the same episode.
         samples: motions drawn per prediction.
+        view: shows the cell in the browser until Ctrl-C; writes files only with --out.
+        host: address the view listens on; other machines can see and control it where that is not this machine's own.
+        port: of the view; 0 is any that is free.
         out: folder for episode.json, storyboard.png, and a GIF and a timeline of each scenario.
     """
     from kinecast.evaluation.collaboration import SCENARIOS  # here, since robot and drawing are extras
 
     check_seed(seed)
+    check_scenario(scenario)
+    cast = Cast(person, seed, samples)
+    if view:
+        from kinecast.cli.view import serve  # here, since the view is an extra
+
+        if out is not None:
+            check_folder(out)
+        serve(host, port, scenario, predictor, cast, out)
+        return
+    out = OUT if out is None else out
     check_folder(out)
     names = tuple(SCENARIOS) if scenario == "all" else (scenario,)
-    episodes = play(names, person, predictor, seed, samples)
-    settings = {
-        "version": __version__,
-        "scenario": scenario,
-        "person": person if person == SYNTHETIC else Path(person).name,
-        "predictor": predictor,
-        "seed": seed,
-        "samples": samples,
-    }
-    write(out, episodes, settings)
+    episodes = play(names, predictor, cast)
+    write(out, episodes, cast.settings(scenario, predictor))
     print(closing_table(episodes))
     print(f"decisions: {out / 'episode.json'}")
     print(f"pictures: {out / 'storyboard.png'}, and a GIF and a timeline of each scenario beside it")
 
 
-def play(
-    names: tuple[str, ...], person: str, predictor: str, seed: int, samples: int
-) -> dict[str, tuple[Episode, Outcome]]:
-    """Runs scenarios, and prints the decisions as they fall."""
-    from kinecast.evaluation.collaboration import SCENARIOS, Forecasters, replayed_person, simulate_scenario
-    from kinecast.evaluation.outcome import outcome_of
-    from kinecast.robot.cell import Cell
+@dataclass(frozen=True)
+class Cast:
+    """Who comes, and how they are predicted, whatever the scenario.
 
-    unknown = [name for name in names if name not in SCENARIOS]
-    if unknown:
-        raise OptionError(f"--scenario {unknown[0]}: allowed are {', '.join(SCENARIOS)}, all")
-    player = None
-    if person != SYNTHETIC:
-        recordings = read_recordings((Path(person),), None)
-        player = replayed_person(max(recordings, key=lambda each: len(each.stamps)), Cell())
-    forecasters, episodes = Forecasters(samples), {}
+    Attributes:
+        person: SYNTHETIC, or the path of a recording.
+        seed: of the person and the camera.
+        samples: motions drawn per prediction.
+    """
+
+    person: str
+    seed: int
+    samples: int
+
+    def player(self) -> PlayedPerson | None:
+        """The recorded person; None for a generated one.
+
+        Raises:
+            DatasetError: the recording cannot be read.
+        """
+        from kinecast.evaluation.collaboration import replayed_person
+        from kinecast.robot.cell import Cell
+
+        if self.person == SYNTHETIC:
+            return None
+        recordings = read_recordings((Path(self.person),), None)
+        return replayed_person(max(recordings, key=lambda each: len(each.stamps)), Cell())
+
+    def settings(self, scenario: str, predictor: str) -> dict[str, object]:
+        """What was asked for, as written to files."""
+        return {
+            "version": __version__,
+            "scenario": scenario,
+            "person": self.person if self.person == SYNTHETIC else Path(self.person).name,
+            "predictor": predictor,
+            "seed": self.seed,
+            "samples": self.samples,
+        }
+
+
+def check_scenario(name: str) -> None:
+    """Raises OptionError for a scenario that there is not."""
+    from kinecast.evaluation.collaboration import SCENARIOS
+
+    if name not in (*SCENARIOS, "all"):
+        raise OptionError(f"--scenario {name}: allowed are {', '.join(SCENARIOS)}, all")
+
+
+def play(names: tuple[str, ...], predictor: str, cast: Cast) -> dict[str, tuple[Episode, Outcome]]:
+    """Runs scenarios, and prints the decisions as they fall."""
+    from kinecast.evaluation.collaboration import SCENARIOS, Forecasters, simulate_scenario
+    from kinecast.evaluation.outcome import outcome_of
+
+    player, forecasters, episodes = cast.player(), Forecasters(cast.samples), {}
     for name in names:
-        simulation = simulate_scenario(name, predictor, seed, forecasters, player)
+        simulation = simulate_scenario(name, predictor, cast.seed, forecasters, player)
         print(f"{name}: {SCENARIOS[name].about if player is None else 'a recorded person'}")
         for command in simulation.steps():
             if command.news:

@@ -19,6 +19,7 @@ from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell, standing_at
 from kinecast.robot.person import Person, PlayedPerson
 from kinecast.robot.simulation import Predict, Simulation
+from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
 
 __all__ = [
@@ -208,7 +209,12 @@ def oracle(people: Sequence[Person]) -> Predict:
 
 
 def simulate_scenario(
-    name: str, predictor: str, seed: int, forecasters: Forecasters, person: Person | None = None
+    name: str,
+    predictor: str,
+    seed: int,
+    forecasters: Forecasters,
+    person: Person | None = None,
+    options: SupervisorOptions | None = None,
 ) -> Simulation:
     """One of SCENARIOS, ready to run.
 
@@ -218,6 +224,7 @@ def simulate_scenario(
         seed: of the person and the camera.
         forecasters: makes the predictor.
         person: instead of the scripted one.
+        options: how the foreman decides.
 
     Raises:
         OptionError: no such scenario or predictor.
@@ -226,4 +233,4 @@ def simulate_scenario(
         raise OptionError(f"scenario {name!r} is none of {', '.join(SCENARIOS)}")
     cell = Cell()
     people = [person or scripted_person(SCENARIOS[name], seed, cell)]
-    return Simulation(people, forecasters.make(predictor, people), Camera(CameraOptions(seed=seed)), cell)
+    return Simulation(people, forecasters.make(predictor, people), Camera(CameraOptions(seed=seed)), cell, options)
