@@ -11,13 +11,24 @@ from jaxtyping import Float
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, Windows, all_windows
-from kinecast.errors import OptionError
+from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.predictor import Predictor
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["every_frame", "followed", "frames", "observations", "stream", "training_windows"]
+__all__ = [
+    "every_frame",
+    "followed",
+    "frames",
+    "observations",
+    "stream",
+    "training_windows",
+    "training_windows_by_action",
+]
+
+FEWEST = 200
+"""Windows that an action needs for a model of its own."""
 
 
 def training_windows(
@@ -58,6 +69,51 @@ def training_windows(
             f"all {len(windows)} training windows end inside an obstacle; is the scene in the recordings' frame?"
         )
     return free
+
+
+def training_windows_by_action(
+    recordings: Sequence[Recording], options: WindowOptions, scene: Scene | None = None
+) -> dict[str, TrainingWindows]:
+    """The windows of each action with enough of them, by name: the frames' label where there are labels, else the task.
+
+    Args:
+        recordings, options, scene: as for `training_windows`.
+
+    Raises:
+        OptionError: fewer than two actions have `FEWEST` windows.
+    """
+    labelled = [recording for recording in recordings if recording.labels is not None]
+    found: dict[str, TrainingWindows] = {}
+    counts: dict[str, int] = {}
+    for action in sorted({label for recording in labelled for label in recording.labels or () if label}):
+        own = [recording for recording in labelled if action in (recording.labels or ())]
+        _keep(found, counts, action, own, replace(options, label=action), scene)
+    others = [recording for recording in recordings if recording.labels is None and recording.task]
+    for task in sorted({recording.task for recording in others}):
+        _keep(found, counts, task, [recording for recording in others if recording.task == task], options, scene)
+    if len(found) < 2:
+        known = ", ".join(f"{name} {count}" for name, count in counts.items()) or "no labels and no tasks"
+        raise OptionError(f"models per action need two actions with {FEWEST} windows or more; found: {known}")
+    return found
+
+
+def _keep(
+    found: dict[str, TrainingWindows],
+    counts: dict[str, int],
+    action: str,
+    recordings: Sequence[Recording],
+    options: WindowOptions,
+    scene: Scene | None,
+) -> None:
+    """Adds an action's windows where there are enough."""
+    try:
+        windows = training_windows(recordings, options, scene)
+    except (DatasetError, OptionError):  # none at all, or none outside obstacles
+        counts[action] = 0
+        return
+    counts[action] = len(windows)
+    if len(windows) >= FEWEST and action not in found:
+        found[action] = windows
 
 
 def observations(part: Windows) -> list[Observation]:

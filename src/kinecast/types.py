@@ -129,6 +129,8 @@ class Prediction:
         status: how far to trust it.
         diagnostics: accepted fraction, effective sample size, milliseconds, distance from training data, …
         density: the exact density behind `log_prob`.
+        goals: for the "left" and the "right" hand, the probability that it heads for each goal of the scene, or for
+            "none"; empty without goals, and for methods that know none.
     """
 
     stamp: float
@@ -141,6 +143,7 @@ class Prediction:
     status: Status = Status.OK
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     density: Density | None = None
+    goals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
         """(T,) log density [nats] of a pose of the six joints at each step; -inf without a density.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from jaxtyping import Bool, Float
 from kinecast.errors import OptionError
 from kinecast.geometry.distances import ROW, arms_are_free, scene_distances, segment_distances
 from kinecast.geometry.motion import MovingObstacle
-from kinecast.geometry.scene_file import parse_scene, read_scene_text
+from kinecast.geometry.regions import Regions
+from kinecast.geometry.scene_file import NO_GOAL, parse_scene, read_scene_text
 from kinecast.geometry.shapes import Box, Shape, Sphere
 
 __all__ = ["Scene"]
@@ -29,6 +31,17 @@ class Scene:
 
     obstacles: tuple[Shape | MovingObstacle, ...] = ()
     goals: Mapping[str, Sphere | Box] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if NO_GOAL in self.goals:
+            raise OptionError(
+                f"a goal cannot be named {NO_GOAL!r}: predictions say that of a hand that heads for no goal"
+            )
+
+    @cached_property
+    def regions(self) -> Regions:
+        """The goals as arrays."""
+        return Regions.of(self.goals)
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:

@@ -17,7 +17,7 @@ from kinecast.geometry.motion import ConstantVelocity, MovingObstacle, Waypoints
 from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Shape, Sphere
 from kinecast.geometry.transforms import from_quaternion, rotation_z
 
-__all__ = ["parse_scene", "read_scene_text"]
+__all__ = ["NO_GOAL", "parse_scene", "read_scene_text"]
 
 MAXIMUM_BYTES = 1_000_000
 MAXIMUM_ENTRIES = 1000
@@ -27,6 +27,9 @@ MAXIMUM_VALUE = 100.0
 
 TABLE_THICKNESS = 0.04
 """Of a table top with an extent [m]; office and workshop tables have 20 to 50 mm."""
+
+NO_GOAL = "none"
+"""What predictions say of a hand that heads for none of the goals; no goal may have this name."""
 
 T = TypeVar("T")
 
@@ -66,7 +69,10 @@ def parse_scene(text: str, where: object) -> tuple[tuple[Shape | MovingObstacle,
     obstacles += [_built(entry, _box) for entry in root.children("boxes")]
     obstacles += [_built(entry, _sphere) for entry in root.children("spheres")]
     obstacles += [_built(entry, _capsule) for entry in root.children("capsules")]
-    goals = {name: _built(entry, _goal) for name, entry in root.named_children("goals").items()}
+    named = root.named_children("goals")
+    if NO_GOAL in named:
+        raise named[NO_GOAL].error(f"a goal cannot be named {NO_GOAL!r}: predictions say that of a hand without a goal")
+    goals = {name: _built(entry, _goal) for name, entry in named.items()}
     if len(obstacles) + len(goals) > MAXIMUM_ENTRIES:
         raise DatasetError(where, f"{len(obstacles) + len(goals)} entries, at most {MAXIMUM_ENTRIES}")
     return tuple(obstacles), goals

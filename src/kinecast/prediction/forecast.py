@@ -28,6 +28,7 @@ class Forecast:
         accepted: (T,) share of drawn motions still inside the scene's free space at each step; 1 without one.
         distinct: number of distinct motions among the samples.
         diagnostics: what else the method says of itself, e.g. `learned_share`.
+        goals: per hand, the probability of each goal of the scene; empty where none were given.
     """
 
     samples: Float[np.ndarray, "S T 6 3"]
@@ -36,6 +37,7 @@ class Forecast:
     accepted: Float[np.ndarray, " T"]
     distinct: int
     diagnostics: Mapping[str, float] = field(default_factory=dict)
+    goals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def blocked(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -17,8 +17,8 @@ from kinecast.prediction.baselines import constant_velocity, damped_velocity, fi
 from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian
-from kinecast.prediction.horizon.method import horizon_from_arrays
-from kinecast.prediction.horizon.training import HorizonOptions, fit_horizon
+from kinecast.prediction.horizon.method import Horizon, horizon_from_arrays
+from kinecast.prediction.horizon.training import HorizonOptions, fit_actions, fit_horizon
 from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
@@ -34,6 +34,7 @@ __all__ = [
     "save_method",
     "shipped_methods",
     "train",
+    "with_actions",
 ]
 
 METHODS: Mapping[str, str] = {
@@ -127,6 +128,26 @@ def train(
             else:
                 trained[name] = PositionGaussian.fit(fit, windows)
     return trained
+
+
+def with_actions(
+    method: Method, windows: Mapping[str, TrainingWindows], options: TrainingOptions, progress: Progress | None = None
+) -> Method:
+    """The method `kinecast` with a model for each action beside its own.
+
+    Args:
+        method: trained, of the same rate, window and horizon as the windows.
+        windows: of each action.
+        options: see TrainingOptions.
+        progress: called with (done, total) fits.
+
+    Raises:
+        OptionError: another method.
+    """
+    if not isinstance(method, Horizon):
+        raise OptionError("models per action go with the method kinecast")
+    actions = fit_actions(windows, HorizonOptions(seed=options.seed), progress)
+    return replace(method, mixture=replace(method.mixture, actions=actions))
 
 
 def limits_of(windows: TrainingWindows, options: TrainingOptions) -> JointLimits:

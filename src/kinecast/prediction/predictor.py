@@ -72,7 +72,7 @@ class Predictor:
     Args:
         method: a trained method (kinecast.prediction.methods).
         noise: spread of a measured joint in its training data [m].
-        scene: obstacles the arms must not enter, or None.
+        scene: obstacles the arms must not enter, and goals that hands may head for; or None.
         options: see PredictorOptions.
     """
 
@@ -203,6 +203,7 @@ class Predictor:
                 "delay": max(now - observation.stamp, 0.0),
             },
             density=_LaterSteps(forecast.density, ahead),
+            goals=forecast.goals,
         )
 
     def _track(self, frame: SkeletonFrame) -> Track:

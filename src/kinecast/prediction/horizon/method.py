@@ -8,6 +8,7 @@ limits and speeds by the exact inverse kinematics, and rejected by the scene.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -21,8 +22,10 @@ from kinecast.geometry.scene import Scene
 from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.draws import normals
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
+from kinecast.prediction.goals import PATH, WRISTS, Pursuit, pursue
+from kinecast.prediction.horizon.actions import Actions, actions_from_arrays
 from kinecast.prediction.horizon.calibration import LEVEL, AdaptiveScale
-from kinecast.prediction.horizon.density import ScaleMixtureDensity
+from kinecast.prediction.horizon.density import GoalMixtureDensity, ScaleMixtureDensity
 from kinecast.prediction.horizon.features import arm_views, yaw_frame
 from kinecast.prediction.horizon.gate import (
     TRIVIAL,
@@ -39,6 +42,7 @@ from kinecast.prediction.horizon.memory import DueErrors
 from kinecast.prediction.horizon.spread import SCALES, Spread, mixture_radius, spread_features
 from kinecast.prediction.motions import draw_motions
 from kinecast.prediction.observation import Observation
+from kinecast.types import Density
 
 __all__ = ["Horizon", "Means", "Memory", "Mixture", "horizon_from_arrays"]
 
@@ -58,14 +62,17 @@ class Memory:
     current: Means | None = None
     scale: Float[np.ndarray, "T 6"] | None = None
     stamp: float = -np.inf
+    path: deque[Float[np.ndarray, "2 3"]] = field(default_factory=deque)
+    actions: DueErrors | None = None
 
     def skip(self, frames: int) -> None:
         """Frames of which nothing is known."""
         nothing = np.full((6, 3), np.nan)
         for _ in range(frames):
-            for errors in (self.gate, self.guard, self.mean):
-                errors.observe(nothing)
-                errors.predicted(None)
+            for errors in (self.gate, self.guard, self.mean, self.actions):
+                if errors is not None:
+                    errors.observe(nothing)
+                    errors.predicted(None)
             if self.adaptive is not None:
                 self.adaptive.skip()
 
@@ -80,6 +87,7 @@ class Means:
         inputs: of the gate.
         features: (6, F) of the spread.
         learned: weight of the learned experts in the mean, averaged over steps and joints.
+        actions: share of each action's own model in the mean.
     """
 
     mean: Float[np.ndarray, "T 6 3"]
@@ -87,6 +95,7 @@ class Means:
     inputs: GateInputs
     features: Float[np.ndarray, "6 F"]
     learned: float
+    actions: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -98,6 +107,7 @@ class Mixture:
         gate: None while it is being trained; experts then count alike.
         frames, steps: N and T.
         guarded: whether the trivial experts may take over.
+        actions: models of single actions, or None.
     """
 
     experts: Sequence[Expert]
@@ -105,6 +115,7 @@ class Mixture:
     frames: int
     steps: int
     guarded: bool = True
+    actions: Actions | None = None
 
     def memory(self) -> Memory:
         """Nothing remembered yet."""
@@ -114,6 +125,7 @@ class Mixture:
             gate_memory(TRIVIAL + len(self.experts), steps),
             guard_memory(steps),
             DueErrors(1, leads, MEAN_HALF_LIVES),
+            actions=None if self.actions is None else self.actions.memory(steps),
         )
 
     def forecasts(self, windows: Float[np.ndarray, "W N 6 3"]) -> Float[np.ndarray, "W E T 6 3"]:
@@ -153,12 +165,15 @@ class Mixture:
             trust = np.zeros_like(trust)
             trust[0] = 1.0
         mean = np.einsum("ej,etjd->tjd", trust, rivals)
+        actions: dict[str, float] = {}
+        if self.actions is not None and memory.actions is not None:
+            mean, actions = self.actions.follow(memory.actions, window, measured, mean)
         features = spread_features(window, made, mean, inputs, memory.mean.mean()[0, :, :, 0])
         memory.gate.predicted(made)
         memory.guard.predicted(rivals)
         memory.mean.predicted(mean[None])
         learned = float((trust[0] * weights[TRIVIAL:].sum(axis=0).mean(axis=0)).mean())
-        memory.current = Means(mean, made, inputs, features, learned)
+        memory.current = Means(mean, made, inputs, features, learned, actions)
         return memory.current
 
 
@@ -225,6 +240,9 @@ class Horizon:
         means = self.mixture.follow(memory, observation.positions, measured)
         memory.stamp = observation.stamp
         memory.scale = self.spread.scale(means.features, observation.positions)
+        memory.path.extend(observation.positions[-1 if memory.path else 0 :, WRISTS])
+        while len(memory.path) > PATH / self.dt + 1:
+            memory.path.popleft()
         if memory.adaptive is not None:
             rotation = yaw_frame(observation.positions[-1])
             memory.adaptive.predicted(means.mean, self.spread.whiteners(memory.scale, rotation))
@@ -260,6 +278,9 @@ class Horizon:
         mean = observation.to_torso(means.mean)
         draws = normals(rng, factor.shape[-1], samples)
         draws *= common_factors(self.spread.weights, samples, rng)
+        pursuit = self._pursuit(scene, observation, memory, mean, factor)
+        if pursuit is not None:
+            draws = pursuit.drawn(draws, rng)
         initial = postures_from_points(observation.points, continuous=True)[-1]
         motions = draw_motions(mean, factor, draws, rng, initial, self.limits, self.dt, *observation.frame)
         allowance = None
@@ -272,20 +293,39 @@ class Horizon:
                 scene,
                 self.noise,
             )
+        density: Density = ScaleMixtureDensity(mean, factor, self.spread.weights, allowance)
+        expected = means.mean
+        if pursuit is not None:
+            density = GoalMixtureDensity(mean, factor, self.spread.weights, pursuit, allowance)
+            expected = expected + pursuit.mean(factor) @ observation.frame[0].T
         forecast = Forecast(
             motions,
-            means.mean,
-            WorldDensity(observation, ScaleMixtureDensity(mean, factor, self.spread.weights, allowance)),
+            expected,
+            WorldDensity(observation, density),
             np.ones(self.steps),
             samples,
-            {"learned_share": means.learned},
+            {"learned_share": means.learned} | {f"action {name}": share for name, share in means.actions.items()},
+            {} if pursuit is None else pursuit.goals,
         )
         if self.limits is None or scene is None:
             return forecast
         # The samples' own mean is noisy; only what the scene moved is taken from it.
         before = motions.mean(axis=0)
         kept = within_scene(replace(forecast, mean=before), observation, rng, scene)
-        return replace(kept, mean=means.mean + (kept.mean - before))
+        return replace(kept, mean=expected + (kept.mean - before))
+
+    def _pursuit(
+        self,
+        scene: Scene | None,
+        observation: Observation,
+        memory: Memory,
+        mean: Float[np.ndarray, "T 6 3"],
+        factor: Float[np.ndarray, "T 6 3 R"],
+    ) -> Pursuit | None:
+        """The mixture over the scene's goals; None where it has none."""
+        if scene is None or not scene.goals:
+            return None
+        return pursue(scene.regions, observation, np.array(memory.path), mean, factor, (SCALES, self.spread.weights))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""
@@ -294,7 +334,7 @@ class Horizon:
         arrays |= {f"spread.{name}": array for name, array in self.spread.to_arrays().items()}
         for k, expert in enumerate(self.mixture.experts):
             arrays |= {f"expert{k}.{name}": array for name, array in expert.to_arrays().items()}
-        return arrays
+        return arrays if self.mixture.actions is None else arrays | self.mixture.actions.to_arrays()
 
 
 def common_factors(weights: Float[np.ndarray, " K"], samples: int, rng: np.random.Generator) -> Float[np.ndarray, " S"]:
@@ -320,4 +360,5 @@ def horizon_from_arrays(
     spread = Spread(**{f.name: parts["spread"][f.name] for f in fields(Spread)})
     if gate.bias.shape[0] != TRIVIAL + len(experts) or spread.factor.shape[0] != steps:
         raise ValueError(f"{len(experts)} experts, {spread.factor.shape[0]} steps")
-    return Horizon(Mixture(experts, gate, frames, steps), spread, dt, noise, limits)
+    actions = actions_from_arrays(parts, frames, steps)
+    return Horizon(Mixture(experts, gate, frames, steps, actions=actions), spread, dt, noise, limits)

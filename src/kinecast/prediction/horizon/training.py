@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.limits import JointLimits
+from kinecast.prediction.horizon.actions import Actions
 from kinecast.prediction.horizon.expert_training import fit_network, fit_radial_basis
 from kinecast.prediction.horizon.features import yaw_frame
 from kinecast.prediction.horizon.gate import Gate
@@ -19,7 +20,7 @@ from kinecast.prediction.horizon.spread import SIDES
 from kinecast.prediction.horizon.spread_training import fit_spread
 from kinecast.prediction.observation import TrainingWindows
 
-__all__ = ["HorizonOptions", "fit_horizon"]
+__all__ = ["HorizonOptions", "fit_actions", "fit_horizon"]
 
 Progress = Callable[[int, int], None]
 
@@ -91,6 +92,29 @@ def fit_horizon(
     spread = fit_spread(*_spread_examples(held, gate))
     final = Mixture(experts(windows, options.networks), gate, frames, steps)
     return Horizon(final, spread, windows.dt, noise, limits)
+
+
+def fit_actions(
+    windows: Mapping[str, TrainingWindows], options: HorizonOptions, progress: Progress | None = None
+) -> Actions:
+    """Trains experts for each action on its windows alone.
+
+    Args:
+        windows: of each action, by its name.
+        options: see HorizonOptions; folds do not matter.
+        progress: called with (done, total) fits of experts.
+    """
+    fitted: list[tuple[Expert, ...]] = []
+    total, done = 3 * len(windows), 0
+    for own in windows.values():
+        experts: list[Expert] = []
+        for expert in _experts(own, options, 1):
+            experts.append(expert)
+            done += 1
+            if progress:
+                progress(done, total)
+        fitted.append(tuple(experts))
+    return Actions(tuple(windows), tuple(fitted))
 
 
 def _experts(windows: TrainingWindows, options: HorizonOptions, networks: int) -> Iterator[Expert]:

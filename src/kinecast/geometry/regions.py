@@ -1,0 +1,63 @@
+"""Named regions as arrays: distances and nearest points of all of them at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.geometry.shapes import Box, Sphere
+
+__all__ = ["Regions"]
+
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """G spheres and boxes.
+
+    Attributes:
+        names: of the regions.
+        centers: (G, 3) [m].
+        axes: (G, 3, 3) rotations whose columns are each region's own axes in the world.
+        halves: (G, 3) half lengths along them [m]; 0 for a sphere.
+        radii: (G,) by which the surface lies farther out [m]; 0 for a box.
+    """
+
+    names: tuple[str, ...]
+    centers: Float[np.ndarray, "G 3"]
+    axes: Float[np.ndarray, "G 3 3"]
+    halves: Float[np.ndarray, "G 3"]
+    radii: Float[np.ndarray, " G"]
+
+    @staticmethod
+    def of(shapes: Mapping[str, Sphere | Box]) -> Regions:
+        """The shapes, in their order."""
+        each = list(shapes.values())
+        return Regions(
+            tuple(shapes),
+            np.array([shape.center for shape in each]).reshape(-1, 3),
+            np.array([shape.rotation if isinstance(shape, Box) else np.eye(3) for shape in each]).reshape(-1, 3, 3),
+            np.array([shape.size / 2 if isinstance(shape, Box) else np.zeros(3) for shape in each]).reshape(-1, 3),
+            np.array([0.0 if isinstance(shape, Box) else shape.radius for shape in each]),
+        )
+
+    def distance(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b G"]:
+        """(…, G) distance [m] from each point to each region; 0 inside."""
+        beyond = np.maximum(np.abs(self._own(points)) - self.halves, 0.0)
+        return np.maximum(np.sqrt((beyond**2).sum(axis=-1)) - self.radii, 0.0)
+
+    def within(self, points: Float[np.ndarray, "*b 3"], share: float) -> Float[np.ndarray, "*b G 3"]:
+        """(…, G, 3) the nearest point [m] of each region shrunk to a share of its size about its centre."""
+        own = self._own(points)
+        halves = share * self.halves
+        edge = np.clip(own, -halves, halves)
+        away = own - edge
+        length = np.sqrt((away**2).sum(axis=-1, keepdims=True))
+        edge += away * np.minimum(1.0, share * self.radii[:, None] / np.maximum(length, 1e-12))
+        return self.centers + np.einsum("gij,...gj->...gi", self.axes, edge)
+
+    def _own(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b G 3"]:
+        """Points in each region's own axes, about its centre."""
+        return np.einsum("gji,...gj->...gi", self.axes, points[..., None, :] - self.centers)

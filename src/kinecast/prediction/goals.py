@@ -1,0 +1,226 @@
+"""Which of a scene's goals a hand is heading for, and where it is if so: a mixture around any joint Gaussian.
+
+For each hand the hypotheses are the goals, each with several times left until arrival, and "none of them". Their
+probabilities are updated frame by frame (Bayes with stabilised forgetting, R. Kulhavy and M. B. Zarrop, 1993): every
+frame's way towards a goal speaks for it, as in A. D. Dragan and S. S. Srinivasa, 2013, and what spoke long ago is
+forgotten, so that a person may change their mind; where the forecast without goals ends speaks for what lies there.
+
+Given a goal and a time left, the wrist is expected on the minimum-jerk path from its present place and velocity
+(T. Flash and N. Hogan, 1985). That is an observation with noise of the base forecast, a Gaussian over all joints and
+steps; conditioned on it, elbow and shoulder follow. All of it happens in the coordinates of the Gaussian's factor: a
+component is a shift of them, and one share of their spread. Each component is thus exactly a Gaussian, samples are
+drawn from their mixture, and its density is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.geometry.regions import Regions
+from kinecast.geometry.scene_file import NO_GOAL
+from kinecast.prediction.observation import Observation
+
+__all__ = ["HANDS", "PATH", "WRISTS", "Pursuit", "goal_probabilities", "pursue"]
+
+HANDS = ("left", "right")
+WRISTS = [ARM_JOINTS.index(f"{hand}_wrist") for hand in HANDS]
+
+PATH = 0.5
+"""So much of a wrist's path is looked at [s]."""
+FORGET = 0.1
+"""What spoke for a goal counts half after this time [s]."""
+PROGRESS, AWAY, KNOWN = 46.0, 27.0, 3.2
+"""log odds of a goal: per metre that the hand came nearer, less per metre between it and where the forecast ends, plus
+a constant shared by all goals. Fitted by maximum likelihood on generated people (decision 0014)."""
+TIMES = (0.15, 0.3, 0.45, 0.65, 0.9)
+"""Times left until arrival [s]."""
+TEMPER = 0.2
+"""Share of the evidence for a time left that counts: the forecast's errors at its steps are not independent."""
+DOUBT = 0.5
+"""Variance of the wrist about the minimum-jerk path, over that of the base forecast."""
+NARROWED = float(np.sqrt(DOUBT / (1.0 + DOUBT)))
+"""What that observation leaves of the base forecast's spread."""
+CORE = 0.3
+"""Hands arrive within this share of a region about its centre, on the side they come from."""
+PINS = 3
+"""Steps at which the path is an observation."""
+NUGGET = 1e-12
+"""Added to the wrists' covariance, over its trace, where the base forecast ties steps together without remainder."""
+LEAST = 0.01
+"""Components less likely than this, beside the likeliest one, are left out."""
+CHANGE = 0.03
+"""Share of hands that are about to do something else, with every hypothesis as likely as any other."""
+VELOCITY = 4
+"""Frames that the wrist's velocity is fitted to, a parabola in time."""
+
+Path = Float[np.ndarray, "K 2 3"]
+
+
+@dataclass(frozen=True)
+class Pursuit:
+    """The mixture over goals, in the coordinates z of a Gaussian mean + factor · z.
+
+    Attributes:
+        goals: per hand, name → probability, "none" among them.
+        weights: (C,) of the components.
+        shifts: (R, C) mean of z in each.
+        spaces: (R, Q) orthonormal directions in which z is narrowed, by kind.
+        kind: (C,) which hands have a goal in each component: none 0, left 1, right 2, both 3.
+    """
+
+    goals: Mapping[str, Mapping[str, float]]
+    weights: Float[np.ndarray, " C"]
+    shifts: Float[np.ndarray, "R C"]
+    spaces: Mapping[int, Float[np.ndarray, "R Q"]] = field(default_factory=dict)
+    kind: Int[np.ndarray, " C"] = field(default_factory=lambda: np.zeros(1, dtype=int))
+
+    def drawn(self, draws: Float[np.ndarray, "R S"], rng: np.random.Generator) -> Float[np.ndarray, "R S"]:
+        """Draws of z from the mixture, out of draws of the base forecast: each component by its weight."""
+        count = draws.shape[1]
+        places = (rng.permutation(count) + rng.random()) / count
+        owner = np.minimum(np.searchsorted(np.cumsum(self.weights), places), len(self.weights) - 1)
+        result = draws + self.shifts[:, owner]
+        for kind, space in self.spaces.items():
+            rows = np.flatnonzero(self.kind[owner] == kind)
+            if len(rows):
+                result[:, rows] -= (1.0 - NARROWED) * (space @ (space.T @ draws[:, rows]))
+        return result
+
+    def mean(self, factor: Float[np.ndarray, "T 6 3 R"]) -> Float[np.ndarray, "T 6 3"]:
+        """(T, 6, 3) by which the mixture's mean differs from that of the base forecast [m]."""
+        return factor @ (self.shifts @ self.weights)
+
+    def factor(self, factor: Float[np.ndarray, "T 6 3 R"], kind: int) -> Float[np.ndarray, "T 6 3 R"]:
+        """(T, 6, 3, R) of the covariance of components of a kind [m]."""
+        if kind == 0:
+            return factor
+        space = self.spaces[kind]
+        return factor - (1.0 - NARROWED) * (factor @ space) @ space.T
+
+
+def goal_probabilities(
+    regions: Regions, path: Path, end: Float[np.ndarray, "2 3"], dt: float
+) -> Float[np.ndarray, "2 G1"]:
+    """(2, G + 1) probability that each hand heads for each goal; the last for none.
+
+    Args:
+        regions: the goals, G > 0.
+        path: (K, 2, 3) where the wrists were, dt apart, the newest last [m].
+        end: (2, 3) where the base forecast has them at its end [m].
+        dt: time between frames [s].
+    """
+    away = np.sqrt(((path[:, :, None] - regions.centers) ** 2).sum(axis=-1))
+    age = np.arange(len(path) - 2, -1, -1)
+    kept = 0.5 ** (age * dt / FORGET)
+    spoken = PROGRESS * np.tensordot(kept, away[:-1] - away[1:], axes=1)
+    odds = np.zeros((2, len(regions.names) + 1))
+    odds[:, :-1] = KNOWN - np.log(len(regions.names)) + spoken - AWAY * regions.distance(end)
+    odds = np.exp(odds - odds.max(axis=1, keepdims=True))
+    return (1.0 - CHANGE) * odds / odds.sum(axis=1, keepdims=True) + CHANGE / odds.shape[1]
+
+
+def pursue(
+    regions: Regions,
+    observation: Observation,
+    path: Path,
+    mean: Float[np.ndarray, "T 6 3"],
+    factor: Float[np.ndarray, "T 6 3 R"],
+    scales: tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]],
+) -> Pursuit:
+    """The mixture over goals around a base forecast.
+
+    Args:
+        regions: the goals, G > 0.
+        observation: the window.
+        path: (K, 2, 3) where the wrists were, the newest last, world [m].
+        mean: (T, 6, 3) of the base forecast, torso frame [m].
+        factor: (T, 6, 3, R) of its covariance [m].
+        scales: the common factors of the base forecast and their weights.
+    """
+    end = observation.to_world(mean[-1, WRISTS])
+    chances = goal_probabilities(regions, path, end, observation.dt)
+    names = (*regions.names, NO_GOAL)
+    goals = {hand: dict(zip(names, map(float, row), strict=True)) for hand, row in zip(HANDS, chances, strict=True)}
+
+    steps = len(mean)
+    pins = np.unique(np.ceil(np.arange(1, PINS + 1) * steps / PINS).astype(int)) - 1
+    wanted = _paths(regions.within(end, CORE), observation, pins)
+    seen = factor[pins][:, WRISTS].transpose(1, 0, 2, 3).reshape(2, 3 * len(pins), -1)
+    missing = observation.to_torso(wanted) - mean[pins][:, WRISTS].transpose(1, 0, 2)[:, None, None]
+    missing = missing.reshape(2, len(regions.names) * len(TIMES), -1)
+
+    both = seen.reshape(-1, seen.shape[2])
+    gram = both @ both.T
+    gram += NUGGET * np.trace(gram) * np.eye(len(gram))
+    size = seen.shape[1]
+    halves = [_space(both[part], gram[part, part]) for part in (slice(0, size), slice(size, None))]
+    solved = [missing[hand] @ halves[hand][1] for hand in (0, 1)]
+    chosen = [_hypotheses(chances[hand], solved[hand], scales) for hand in (0, 1)]
+    pairs = np.outer(chosen[0], chosen[1])
+    left, right = np.nonzero(pairs >= LEAST * pairs.max())
+    weights, kind = pairs[left, right], (left > 0) + 2 * (right > 0)
+    spaces, shifts = {}, np.zeros((both.shape[1], len(weights)))
+    for hand, index in ((0, left), (1, right)):
+        own = kind == 1 + hand
+        if own.any():
+            spaces[1 + hand] = halves[hand][0]
+            shifts[:, own] = halves[hand][0] @ solved[hand][index[own] - 1].T
+    own = kind == 3
+    if own.any():
+        spaces[3], triangle = _space(both, gram)
+        together = np.concatenate([missing[0][left[own] - 1], missing[1][right[own] - 1]], axis=1)
+        shifts[:, own] = spaces[3] @ (together @ triangle).T
+    return Pursuit(goals, weights / weights.sum(), shifts / (1.0 + DOUBT), spaces, kind)
+
+
+def _space(
+    seen: Float[np.ndarray, "Q R"], gram: Float[np.ndarray, "Q Q"]
+) -> tuple[Float[np.ndarray, "R Q"], Float[np.ndarray, "Q Q"]]:
+    """Orthonormal directions of z that what is seen depends on, and the triangle with seenᵀ · triangle = directions."""
+    triangle = np.linalg.inv(np.linalg.cholesky(gram)).T
+    return seen.T @ triangle, triangle
+
+
+def _paths(
+    goals: Float[np.ndarray, "2 G 3"], observation: Observation, pins: Int[np.ndarray, " P"]
+) -> Float[np.ndarray, "2 G L P 3"]:
+    """Minimum-jerk paths of both wrists to each goal for each time left, at some steps; at rest there afterwards."""
+    wrists = observation.positions[:, WRISTS]
+    slope = _slope(min(VELOCITY, len(wrists)))
+    velocity = np.tensordot(slope, wrists[-len(slope) :], axes=1) / observation.dt
+    left = np.array(TIMES)[:, None]
+    u = np.clip(observation.dt * (pins + 1) / left, 0.0, 1.0)
+    way = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    drift = left * (u - 6.0 * u**3 + 8.0 * u**4 - 3.0 * u**5)
+    now = wrists[-1][:, None, None, None]
+    return now + way[..., None] * (goals[:, :, None, None] - now) + drift[..., None] * velocity[:, None, None, None]
+
+
+@cache
+def _slope(count: int) -> Float[np.ndarray, " K"]:
+    """Weights of the last frames in the slope, at the newest, of a parabola through them."""
+    return np.asarray(np.linalg.pinv(np.vander(np.arange(1.0 - count, 1.0), min(3, count), increasing=True))[1])
+
+
+def _hypotheses(
+    chance: Float[np.ndarray, " G1"],
+    solved: Float[np.ndarray, "H Q"],
+    scales: tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]],
+) -> Float[np.ndarray, " H1"]:
+    """(1 + H,) probabilities of one hand: none first, then each goal with each time left."""
+    factors, weights = scales
+    square = (solved**2).sum(axis=1) / (1.0 + DOUBT)
+    parts = np.log(np.maximum(weights, 1e-300)) - solved.shape[1] * np.log(factors) - 0.5 * square[:, None] / factors**2
+    top = parts.max(axis=1)
+    evidence = (top + np.log(np.exp(parts - top[:, None]).sum(axis=1))).reshape(len(chance) - 1, -1)
+    times = np.exp(TEMPER * (evidence - evidence.max(axis=1, keepdims=True)))
+    times /= times.sum(axis=1, keepdims=True)
+    result = np.concatenate([chance[-1:], (chance[:-1, None] * times).ravel()])
+    result[result < LEAST * result.max()] = 0.0
+    return result / result.sum()
