@@ -23,7 +23,7 @@ __all__ = ["Actions", "actions_from_arrays"]
 
 LEADS, HALF_LIVES = (3, 6, 10), (15.0,)
 """Steps ahead at which forecasts are judged, and the memory [frames]: half a second."""
-POWER = 8.0
+POWER = 16.0
 """Weight of a forecast: its mean error to minus this power."""
 CREDIT = 0.95
 """The general mean is taken for 5 % better than it was: an action must be clearly ahead to count."""
