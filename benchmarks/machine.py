@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Any
 
 import numba
 import numpy as np
+
+from kinecast.evaluation.output import write_atomically
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -40,6 +43,7 @@ def milliseconds(seconds: Sequence[float]) -> dict[str, float]:
 def save(name: str, result: dict[str, Any], path: Path | None, before: dict[str, Any]) -> None:
     """Writes a result with the machine's facts beside it, those from before the run too: others may have used it."""
     target = path or RESULTS / f"{name}.json"
-    target.parent.mkdir(parents=True, exist_ok=True)
     machine = {**facts(), "load_before": before["load"]}
-    target.write_text(json.dumps({"machine": machine, **result}, indent=1) + "\n")
+    text = json.dumps({"machine": machine, **result}, indent=1)
+    rows = re.compile(r"\[\s+([^\[\]{}]*?)\s+\]")  # a list of numbers or words fits a line
+    write_atomically(target, (rows.sub(lambda row: f"[{' '.join(row[1].split())}]", text) + "\n").encode())

@@ -27,6 +27,7 @@ __all__ = [
     "SCENARIOS",
     "Forecasters",
     "Scenario",
+    "forth_and_back",
     "generated_person",
     "oracle",
     "replayed_person",
@@ -127,6 +128,22 @@ def replayed_person(recording: Recording, cell: Cell, start: float = 0.0) -> Pla
     stamps = recording.stamps[kept] - recording.stamps[0] - start
     placement = cell.person @ inverse(stand)
     return PlayedPerson(recording.person, recording.joints, stamps, recording.positions[kept], placement)
+
+
+def forth_and_back(person: PlayedPerson, duration: float = 60.0) -> PlayedPerson:
+    """Somebody who, at the end of what was recorded, does it backwards, and so on for so long [s]."""
+    since = person.stamps - person.stamps[0]
+    if len(since) < 2:
+        return person
+    turns = math.ceil(duration / since[-1])
+    parts, times = [person.positions[:1]], [since[:1]]
+    for turn in range(turns):
+        way = slice(1, None) if turn % 2 == 0 else slice(-2, None, -1)
+        parts.append(person.positions[way])
+        times.append(turn * since[-1] + (since[1:] if turn % 2 == 0 else since[-1] - since[-2::-1]))
+    return PlayedPerson(
+        person.name, person.joints, np.concatenate(times), np.concatenate(parts), person.placement, person.present
+    )
 
 
 def _wrist_at(place: Float[np.ndarray, "3"], placement: Float[np.ndarray, "4 4"]) -> np.ndarray:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from numba import njit
 
 from kinecast.robot.occupancy import OccupancyOptions
 
@@ -16,7 +20,9 @@ TRUE_BODY = OccupancyOptions(
 )
 """A large adult without clothes and without the tracker's error (estimates; see OccupancyOptions): what
 touches this touches the person. The arm's side keeps away from more than that."""
-DOWN = np.array([0.0, 0.0, -1.0])
+_NAMES = (
+    "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist", "pelvis", "head",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,27 +53,39 @@ def body_capsules(
         K = 9 capsules; trunk and head follow from the shoulders where they are not tracked.
     """
     o = options or OccupancyOptions()
+    ends = _ends(
+        np.ascontiguousarray(positions, dtype=np.float64), _rows(joints), o.hand_length, o.trunk_length, o.head_height
+    )
+    return BodyCapsules(ends[0], ends[1], o.radii)
 
-    def joint(name: str, otherwise: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-        if name not in joints:
-            return otherwise
-        found: Float[np.ndarray, " 3"] = positions[joints.index(name)]
-        return found if np.isfinite(found).all() else otherwise
 
-    nowhere = np.full(3, np.nan)
-    starts, ends, radii = [], [], []
-    for side in ("left", "right"):
-        shoulder, elbow, wrist = (joint(f"{side}_{part}", nowhere) for part in ("shoulder", "elbow", "wrist"))
-        line = wrist - elbow
-        palm = wrist + o.hand_length * line / max(float(np.linalg.norm(line)), 1e-6)
-        starts += [shoulder, elbow, wrist]
-        ends += [elbow, wrist, palm]
-        radii += [o.upper_arm, o.forearm, o.hand]
-    left, right = (joint(f"{side}_shoulder", nowhere) for side in ("left", "right"))
-    middle = (left + right) / 2
-    pelvis = joint("pelvis", middle + o.trunk_length * DOWN)
-    head = joint("head", middle - o.head_height * DOWN)
-    starts += [left, middle, head]
-    ends += [right, pelvis, head]
-    radii += [o.shoulders, o.trunk, o.head]
-    return BodyCapsules(np.stack(starts), np.stack(ends), np.array(radii))
+@lru_cache(maxsize=64)
+def _rows(joints: tuple[str, ...]) -> Int[np.ndarray, "8"]:
+    """(8,) rows of shoulder, elbow and wrist, left and right, pelvis and head; -1 for one that is not tracked."""
+    return np.array([joints.index(name) if name in joints else -1 for name in _NAMES])
+
+
+@njit(cache=True)
+@no_type_check
+def _ends(positions: np.ndarray, rows: np.ndarray, palm: float, trunk: float, head: float) -> np.ndarray:
+    """(2, 9, 3) starts and ends of the axes for joints (J, 3)."""
+    places = np.full((8, 3), np.nan)
+    for n in range(8):
+        if rows[n] >= 0 and np.isfinite(positions[rows[n]]).all():
+            places[n] = positions[rows[n]]
+    middle = (places[0] + places[3]) / 2
+    for n, above in ((6, -trunk), (7, head)):
+        if np.isnan(places[n, 0]):
+            places[n] = middle
+            places[n, 2] += above
+    ends = np.empty((2, 9, 3))
+    for side in range(0, 6, 3):
+        line = places[side + 2] - places[side + 1]
+        length = max(math.sqrt(line[0] * line[0] + line[1] * line[1] + line[2] * line[2]), 1e-6)
+        ends[0, side : side + 3] = places[side : side + 3]
+        ends[1, side : side + 2] = places[side + 1 : side + 3]
+        ends[1, side + 2] = places[side + 2] + palm * line / length
+    ends[0, 6], ends[1, 6] = places[0], places[3]
+    ends[0, 7], ends[1, 7] = middle, places[6]
+    ends[0, 8], ends[1, 8] = places[7], places[7]
+    return ends

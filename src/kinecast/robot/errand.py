@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.geometry.transforms import rotation_z
+from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["Step", "nearest", "postures", "straight"]
+__all__ = ["Places", "Step", "nearest", "postures", "straight"]
 
 WAYPOINTS = 9
 CONTINUOUS = 0.8
@@ -135,3 +136,28 @@ def straight(
         apart = choices[int(np.argmin(change))] - rows[-1]
         rows.append(rows[-1] + (apart + np.pi) % (2 * np.pi) - np.pi)
     return Trajectory(start_time + duration * tau, np.array(rows))
+
+
+class Places:
+    """Where the arm stands above each cube, above its place, and at rest: found once, as it takes a while.
+
+    Args:
+        arm: the arm.
+        cell: with the cubes.
+    """
+
+    def __init__(self, arm: UR5, cell: Cell) -> None:
+        self._range = arm.q_range
+        self._resting = postures(arm, cell.grasp(cell.rest))
+        self._above = {
+            tuple(point): postures(arm, cell.grasp(point, cell.hover), cell.hover)
+            for cube in cell.cubes for point in (cube.position, cube.place)
+        }  # fmt: skip
+
+    def above(self, point: Float[np.ndarray, "3"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "G 6"]:
+        """Configurations above a cube or place from which the way down is straight, the nearest to q [rad] first."""
+        return nearest(self._above[tuple(point)], q, self._range)
+
+    def rest(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "G 6"]:
+        """Configurations in which it rests, the nearest to q [rad] first."""
+        return nearest(self._resting, q, self._range)

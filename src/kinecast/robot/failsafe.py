@@ -69,15 +69,23 @@ def free_speed(
     speeds = np.array(options.speeds)
     spans = options.reaction + speeds * options.stopping
     after = spans[:, None] * np.linspace(0.0, 1.0, INSTANTS)
+    if (_nearest(arm, path(speeds[0] * after[0]), now + after[0], occupancy) >= options.clearance).all():
+        return options.speeds[0]  # as nearly always
     along = (speeds[:, None] * after).ravel()
     still = np.zeros(INSTANTS)
     q = path(np.concatenate([along, still]))
     waited = np.linspace(0.0, spans[0], INSTANTS)
-    body = arm.body_points(q)
-    times = now + np.concatenate([after.ravel(), waited])
-    distance = occupancy.signed_distance(body.positions, times)[0] - body.radius
-    nearest = distance.min(axis=1)
+    nearest = _nearest(arm, q, now + np.concatenate([after.ravel(), waited]), occupancy)
     moving = nearest[: len(along)].reshape(after.shape)
     standing = np.interp(after, waited, nearest[len(along) :])
     allowed = ((moving >= options.clearance) | (moving >= standing - 1e-9)).all(axis=1)
     return float(speeds[np.argmax(allowed)]) if allowed.any() else 0.0
+
+
+def _nearest(
+    arm: UR5, q: Float[np.ndarray, "N 6"], times: Float[np.ndarray, " N"], occupancy: Occupancy
+) -> Float[np.ndarray, " N"]:
+    """(N,) from the arm at each of the times to the occupied region [m]."""
+    body = arm.body_points(q)
+    nearest: Float[np.ndarray, " N"] = (occupancy.signed_distance(body.positions, times)[0] - body.radius).min(axis=1)
+    return nearest

@@ -74,6 +74,9 @@ def _touched(
     count, steps = samples.shape[:2]
     balls = len(radius)
     hit = np.zeros((count, balls), dtype=np.bool_)
+    boxes = np.empty((steps, 2, 3))
+    for t in range(steps):
+        _box(positions[t], radius, boxes[t])
     a, b, middle = np.empty(3), np.empty(3), np.empty(3)
     for s in range(count):
         for t in range(steps):
@@ -93,6 +96,11 @@ def _touched(
                     for k in range(3):
                         middle[k] = 0.5 * (a[k] + b[k])
                     half = 0.5 * np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+                    outside = 0.0
+                    for k in range(3):
+                        outside += max(boxes[t, 0, k] - middle[k], middle[k] - boxes[t, 1, k], 0.0) ** 2
+                    if outside > (half + reach + 1e-9) ** 2:  # never if the limb is NaN
+                        continue
                     for p in range(balls):
                         if not hit[s, p]:
                             ball = positions[t, p]
@@ -101,6 +109,19 @@ def _touched(
                             if not x * x + y * y + z * z > far * far:  # most are far away
                                 hit[s, p] = not _distance(a, b, ball) > reach + radius[p]
     return hit
+
+
+@njit(cache=True)
+@no_type_check
+def _box(balls: np.ndarray, radius: np.ndarray, box: np.ndarray) -> None:
+    """Writes the least and the greatest corner (2, 3) of what balls (P, 3) fill: everything where one is NaN."""
+    box[0], box[1] = np.inf, -np.inf
+    if not np.isfinite(balls.sum()):
+        box[0], box[1] = -np.inf, np.inf
+    for k in range(3):
+        for p in range(len(balls)):
+            box[0, k] = min(box[0, k], balls[p, k] - radius[p])
+            box[1, k] = max(box[1, k], balls[p, k] + radius[p])
 
 
 @njit(cache=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -91,20 +92,25 @@ class PlayedPerson:
 class MindfulPerson:
     """Somebody who does what was recorded, but stops short of an arm that is in the way, and goes on when it is gone.
 
-    Everybody does so who sees a robot; a recording alone would be pushed through it.
+    If it is still there after a while they draw back the way they came, and try again. Everybody does so who sees a
+    robot; a recording alone would be pushed through it, and two who wait for one another would wait for ever.
 
     Args:
         person: what they want to do.
         margin: to the arm [m].
         foresight: how far ahead they look [s].
         change: how fast they slow down and take up again, of their own speed [1/s].
+        patience: how long they wait, and how long they draw back then [s].
     """
 
     def __init__(
-        self, person: PlayedPerson, margin: float = 0.06, foresight: float = 0.25, change: float = 5.0
-    ) -> None:
+        self, person: PlayedPerson, margin: float = 0.06, foresight: float = 0.25, change: float = 5.0,
+        patience: float = 1.0,
+    ) -> None:  # fmt: skip
         self.person, self.margin, self.foresight, self.change = person, margin, foresight, change
+        self.patience = patience
         self._times, self._clocks, self._rate = [0.0], [0.0], 1.0
+        self._blocked_since: float | None = None
 
     @property
     def name(self) -> str:
@@ -124,18 +130,29 @@ class MindfulPerson:
         """How far into their motion they are at a time [s]."""
         if time >= self._times[-1]:
             return self._clocks[-1] + self._rate * (time - self._times[-1])
-        return float(np.interp(time, self._times, self._clocks))
+        after = max(bisect_right(self._times, time), 1)
+        (before, end), (first, last) = self._times[after - 1 : after + 1], self._clocks[after - 1 : after + 1]
+        return first + (last - first) / (end - before) * max(time - before, 0.0)
 
     def mind(self, arm: LinkCapsules, now: float) -> None:
         """Looks at where the arm is now (N = 1), and slows down if it is in the way."""
         clock = self._clock(now)
         self._times.append(now)
         self._clocks.append(clock)
-        here, soon = self.person.at(clock), self.person.at(clock + self.foresight)
-        wish = 1.0
+        waited = 0.0 if self._blocked_since is None else now - self._blocked_since
+        back = self.patience <= waited < 2.0 * self.patience
+        if waited >= 2.0 * self.patience:
+            self._blocked_since = None
+        wish = -1.0 if back else 1.0
+        here, soon = self.person.at(clock), self.person.at(clock + wish * self.foresight)
         if here is not None and soon is not None:
             near, later = (self._distance(pose, arm) for pose in (here, soon))
-            wish = 0.0 if later < self.margin and later < near else 1.0
+            blocked = later < self.margin and later < near
+            if not back and not blocked:
+                self._blocked_since = None
+            elif not back and self._blocked_since is None:
+                self._blocked_since = now
+            wish = 0.0 if blocked else wish
         step = self.change * (now - self._times[-2])
         self._rate = min(max(wish, self._rate - step), self._rate + step)
 

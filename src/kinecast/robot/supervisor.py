@@ -18,7 +18,8 @@ from jaxtyping import Float
 
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
-from kinecast.robot.errand import Step, nearest, postures, straight
+from kinecast.robot.conduct import Conduct
+from kinecast.robot.errand import Places, Step, straight
 from kinecast.robot.execution import Executor
 from kinecast.robot.occupancy import Occupancy, OccupancyOptions
 from kinecast.robot.outlook import Outlook
@@ -28,7 +29,7 @@ from kinecast.robot.separation import Separation
 from kinecast.robot.task_sequence import SequenceOptions, TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
-from kinecast.robot.wording import STILL, Level, reason_of, state_of
+from kinecast.robot.wording import reason_of, state_of
 from kinecast.types import Decision, Prediction, Reaction, RobotState
 
 __all__ = ["Command", "Supervisor", "SupervisorOptions"]
@@ -37,8 +38,6 @@ log = logging.getLogger(__name__)
 
 HELD = 0.1
 """Share of the planned speed below which it does not get anywhere."""
-BRAKED = 0.5
-"""Share of the planned speed below which being held back is said at once."""
 AFTER_PLACING = {Step.OPEN, Step.RISE}
 
 
@@ -56,7 +55,7 @@ class SupervisorOptions:
         evade: held back for this long by somebody who comes to where it stands, the arm draws back [s].
         vertical: greatest speed of the straight ways down and up [m/s].
         dwell: time the gripper takes [s].
-        settle: going at full speed, more slowly or not at all is a new state only after so long [s].
+        settle: going faster, or another cause of going slowly, is a new state only after so long [s].
         rise: how fast the speed may rise again [1/s].
         pace, occupancy, sequence: see there.
     """
@@ -115,26 +114,19 @@ class Supervisor:
         self.step = Step.NONE
         self.target: str | None = None
         self.replans = 0
-        self._postures: dict[tuple[float, ...], Float[np.ndarray, "B 6"]] = {}
-        self._resting = postures(arm, cell.grasp(cell.rest))
-        for cube in cell.cubes:  # found now, as it takes a while
-            self._above(cube.position), self._above(cube.place)
+        self._places = Places(arm, cell)
         self._trajectory: Trajectory | None = None  # None: the arm is to stand
         self._goals = np.empty((0, 6))
         self._around_people = True  # whether the path keeps clear of people, or they left none that does
         self._then = Step.NONE  # after a rest that is a retreat
-        self._closed = False
-        self._since = 0.0
-        self._asked = -np.inf
-        self._not_before = -np.inf
-        self._failures = 0
-        self._trouble = ""
+        self._closed, self._since = False, 0.0
+        self._asked = self._not_before = -np.inf
+        self._failures, self._trouble = 0, ""
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
         self._overlap = 0.0
         self._pace = Pace(0.0, Restraint.SILENCE, Separation(), 1.0)
-        self._speed = 0.0
-        self._level, self._level_since = Level.FULL, -np.inf
+        self._conduct = Conduct(self.options.rise, self.options.settle)
         self._decision = Decision(0.0, RobotState.WAITING, "It has not begun.", speed=0.0)
 
     @property
@@ -222,7 +214,7 @@ class Supervisor:
         elif now - self._held_since >= self.options.evade and self._trajectory is not None:
             self._held_since = None
             self._then = self.step
-            self._travel(Step.REST, self._rest(), now)
+            self._travel(Step.REST, self._places.rest(self.executor.q), now)
 
     # Steps
 
@@ -230,7 +222,7 @@ class Supervisor:
         """The next step where one has ended."""
         step, o = self.step, self.options
         arrived = self._trajectory is not None and self.executor.done
-        if step is Step.NONE or (step is Step.REST and self._then is Step.NONE and self._free_again()):
+        if step is Step.NONE or (step is Step.REST and self._then is Step.NONE and self.sequence.next() is not None):
             self._choose(now)
         elif step in (Step.CLOSE, Step.OPEN):
             if now - self._since >= o.dwell:
@@ -248,13 +240,10 @@ class Supervisor:
             self._go_straight(0.0, Step.LOWER, now)
         elif arrived and step is Step.LOWER:
             self._grip(False, Step.OPEN, now)
-        elif arrived and step is Step.RISE:
-            assert self.target is not None
-            self.sequence.finish(self.target)
-            self.target = None
-            self._stand(Step.NONE)
-            self._choose(now)
-        elif arrived and step is Step.BACK_UP:
+        elif arrived and step in (Step.RISE, Step.BACK_UP):
+            if step is Step.RISE and self.target is not None:
+                self.sequence.finish(self.target)
+                self.target = None
             self._stand(Step.NONE)
             self._choose(now)
         elif arrived and step is Step.REST:
@@ -266,10 +255,6 @@ class Supervisor:
                 self._stand(Step.NONE)
                 self._choose(now)
 
-    def _free_again(self) -> bool:
-        """Whether there is a cube to go for instead of resting."""
-        return self.sequence.next() is not None
-
     def _choose(self, now: float) -> None:
         """The next cube; to rest where there is none."""
         name = self.sequence.next()
@@ -279,7 +264,7 @@ class Supervisor:
             self._reach(name, now, None if first else Reaction.CHANGE_CUBE if changed else Reaction.TAKE_ANOTHER)
             return
         self.target = None
-        rest = self._rest()
+        rest = self._places.rest(self.executor.q)
         if len(rest) and self.step is not Step.REST and np.abs(rest - self.executor.q).max(axis=1).min() > 0.05:
             self._then = Step.NONE
             self._travel(Step.REST, rest, now)
@@ -292,24 +277,12 @@ class Supervisor:
             self._reaction = reaction
             self.replans += 1
         self.target = name
-        cube = self.cell.cube(name)
-        self._travel(Step.REACH, self._above(cube.position), now)
+        self._travel(Step.REACH, self._places.above(self.cell.cube(name).position, self.executor.q), now)
 
     def _carry(self, now: float) -> None:
         """Sets out for the place of the cube it holds."""
         assert self.target is not None
-        self._travel(Step.CARRY, self._above(self.cell.cube(self.target).place), now)
-
-    def _above(self, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "G 6"]:
-        """Configurations above a cube from which the way down is straight."""
-        key = tuple(np.round(point, 6))
-        if key not in self._postures:
-            self._postures[key] = postures(self.arm, self.cell.grasp(point, self.cell.hover), self.cell.hover)
-        return nearest(self._postures[key], self.executor.q, self.arm.q_range)
-
-    def _rest(self) -> Float[np.ndarray, "G 6"]:
-        """Configurations in which it rests."""
-        return nearest(self._resting, self.executor.q, self.arm.q_range)
+        self._travel(Step.CARRY, self._places.above(self.cell.cube(self.target).place, self.executor.q), now)
 
     def _travel(self, step: Step, goals: Float[np.ndarray, "G 6"], now: float) -> None:
         """Sets out for configurations; keeps to the path it is on until there is one."""
@@ -342,9 +315,7 @@ class Supervisor:
 
     def _follow(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory
-        if not self.executor.qd.any():
-            self._speed = 1.0  # paths begin gently by themselves
-        self._level = Level.FULL
+        self._conduct.begin(at_rest=not self.executor.qd.any())
         self.executor.follow(trajectory)
 
     # Plans
@@ -407,27 +378,19 @@ class Supervisor:
 
     def _decide(self, now: float) -> Decision:
         """State, speed and reason from all of the above."""
-        pending = self.desk.pending
-        searching = pending is not None and self._trajectory is not None
-        limit = 0.0 if self._trajectory is None or searching else self._pace.speed
-        # Down at once, up gently: what holds it back flickers with every measurement.
-        speed = min(limit, self._speed + self.options.rise * (now - self._decision.stamp))
-        self._speed = speed
-        level = Level.FULL if self._pace.speed > 0.95 else Level.SLOW if self._pace.speed > STILL else Level.HELD
-        if level is self._level:
-            self._level_since = now
-        elif now - self._level_since >= self.options.settle or self._pace.speed < BRAKED:
-            self._level, self._level_since = level, now
-        finished = not self.sequence.remaining and self.step is Step.REST and self._trajectory is None
-        state = state_of(self.step, finished, self._trajectory is not None, searching, self._level, self._pace)
+        has_path, conduct = self._trajectory is not None, self._conduct
+        searching = has_path and self.desk.pending is not None
+        conduct.update(self._pace, self._pace.speed if has_path and not searching else 0.0, now)
+        finished = not self.sequence.remaining and self.step is Step.REST and not has_path
+        state = state_of(self.step, finished, has_path, searching, conduct)
         reaction, self._reaction = self._reaction, None
         return Decision(
             stamp=now,
             state=state,
-            reason=reason_of(state, self.step, self.target, reaction, self._pace, self.sequence, self._trouble),
+            reason=reason_of(state, self.step, self.target, reaction, conduct.cause, self.sequence, self._trouble),
             target=self.target,
             reaction=reaction,
-            speed=speed,
+            speed=conduct.speed,
             distance=self._pace.separation.distance,
             separation=self._pace.separation.required,
             overlap=self._overlap,

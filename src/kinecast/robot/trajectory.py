@@ -60,7 +60,7 @@ class Trajectory:
 
     def at(self, t: float | Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "*N 6"], Float[np.ndarray, "*N 6"]]:
         """Angles [rad] and speeds [rad/s] at time t [s]; at rest before its start and after its end."""
-        q, qd, _, _ = self.derivatives(t)
+        q, qd = self._evaluate(t, 2)
         return q, qd
 
     def derivatives(self, t: float | Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -68,12 +68,16 @@ class Trajectory:
 
         At the very start it has its start velocity.
         """
+        q, qd, qdd, qddd = self._evaluate(t, 4)
+        return q, qd, qdd, qddd
+
+    def _evaluate(self, t: float | Float[np.ndarray, " N"], count: int) -> list[np.ndarray]:
+        """Angles and as many of their derivatives as are asked for, `count` in all."""
         since = np.asarray(t, dtype=np.float64) - self.times[0]
         within = np.clip(since, 0.0, self.duration)
         moving = (since == within)[..., None]
-        q, *rates = (spline(within) for spline in self._splines)
-        qd, qdd, qddd = (np.where(moving, rate, 0.0) for rate in rates)
-        return q, qd, qdd, qddd
+        q, *rates = (spline(within) for spline in self._splines[:count])
+        return [q, *(np.where(moving, rate, 0.0) for rate in rates)]
 
     def delayed(self, seconds: float) -> Trajectory:
         """The same motion, later."""

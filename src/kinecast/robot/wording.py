@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from enum import Enum
-
+from kinecast.robot.conduct import Conduct, Level
 from kinecast.robot.errand import Step
-from kinecast.robot.pace import Pace, Restraint
+from kinecast.robot.pace import Restraint
 from kinecast.robot.task_sequence import TaskSequence
 from kinecast.types import Reaction, RobotState
 
-__all__ = ["STILL", "Level", "reason_of", "state_of"]
-
-STILL = 0.02
-"""Share of the planned speed below which the arm stands."""
+__all__ = ["reason_of", "state_of"]
 
 
-class Level(Enum):
-    """How fast it has been going for a while."""
-
-    FULL = "at full speed"
-    SLOW = "more slowly"
-    HELD = "not at all"
-
-
-def state_of(step: Step, finished: bool, has_path: bool, searching: bool, level: Level, pace: Pace) -> RobotState:
+def state_of(step: Step, finished: bool, has_path: bool, searching: bool, conduct: Conduct) -> RobotState:
     """The state's name.
 
     Args:
@@ -31,11 +19,10 @@ def state_of(step: Step, finished: bool, has_path: bool, searching: bool, level:
         finished: nothing is left to do.
         has_path: there is a path to follow.
         searching: another one is sought meanwhile.
-        level: how fast it has been going.
-        pace: what holds it back.
+        conduct: how fast it goes, and what holds it back.
     """
-    held = has_path and level is Level.HELD
-    if pace.restraint in (Restraint.SILENCE, Restraint.UNSEEN) or (held and pace.restraint is Restraint.SEPARATION):
+    held = has_path and conduct.level is Level.HELD
+    if conduct.cause in (Restraint.SILENCE, Restraint.UNSEEN) or (held and conduct.cause is Restraint.SEPARATION):
         return RobotState.STOPPED
     if finished:
         return RobotState.DONE
@@ -47,7 +34,7 @@ def state_of(step: Step, finished: bool, has_path: bool, searching: bool, level:
         return RobotState.PLACING
     if held or not has_path:
         return RobotState.WAITING
-    return RobotState.SLOWED if level is Level.SLOW else RobotState.MOVING
+    return RobotState.SLOWED if conduct.level is Level.SLOW else RobotState.MOVING
 
 
 def reason_of(
@@ -55,7 +42,7 @@ def reason_of(
     step: Step,
     target: str | None,
     reaction: Reaction | None,
-    pace: Pace,
+    cause: Restraint,
     sequence: TaskSequence,
     trouble: str,
 ) -> str:
@@ -71,7 +58,7 @@ def reason_of(
         return {
             Restraint.SILENCE: "The camera is silent: nobody knows who is there.",
             Restraint.UNSEEN: "Somebody is there whose arms were never seen.",
-        }.get(pace.restraint, "A person is too near to move.")
+        }.get(cause, "A person is too near to move.")
     if state is RobotState.DONE:
         missing = f", without {' and '.join(sequence.given_up)}: no way there" if sequence.given_up else ""
         return f"Every cube is in its place{missing}."
@@ -80,12 +67,12 @@ def reason_of(
     if state is RobotState.WAITING:
         if step is Step.REST and taken:
             return f"The person has {' and '.join(taken)}: nothing is left to take."
-        if pace.restraint is Restraint.PREDICTION:
+        if cause is Restraint.PREDICTION:
             return f"A person is about to be on the way {errand}."
         return f"A path is sought {errand}."
     if state is RobotState.REPLANNING:
         return f"Another path is sought {errand}; meanwhile it slows down."
     if state is RobotState.SLOWED:
-        cause = "may soon be on the way" if pace.restraint is Restraint.PREDICTION else "is near"
-        return f"On the way {errand}, slowly: a person {cause}."
+        what = "may soon be on the way" if cause is Restraint.PREDICTION else "is near"
+        return f"On the way {errand}, slowly: a person {what}."
     return f"{errand[0].upper()}{errand[1:]}."

@@ -55,7 +55,7 @@ def test_a_person_is_placed_by_a_transform() -> None:
 
 
 def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:
-    person = MindfulPerson(mover())
+    person = MindfulPerson(mover(), patience=9.0)
     there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
     gone = LinkCapsules(there.start + 9.0, there.end + 9.0, there.radius)
     for k in range(500):
@@ -66,6 +66,19 @@ def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() ->
         person.mind(gone, 0.008 * k)
     assert person.at(7.2)[2, 0] > 1.4
     assert person.at(4.0)[2, 0] == pytest.approx(reached), "what was done stays done"
+
+
+def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again() -> None:
+    person = MindfulPerson(mover(), patience=1.0)
+    there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
+    for k in range(1000):
+        person.mind(there, 0.008 * k)
+    hand = np.array([person.at(0.008 * k)[2, 0] for k in range(1000)])
+    assert hand.max() < 0.85
+    first = int(np.argmax(hand > 0.6))
+    drawn_back = first + int(np.argmin(hand[first:]))
+    assert hand[drawn_back] < 0.4
+    assert hand[drawn_back:].max() > 0.6
 
 
 def test_the_camera_takes_every_shot_once_late_and_the_same_for_the_same_seed() -> None:
