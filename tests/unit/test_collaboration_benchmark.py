@@ -1,0 +1,66 @@
+"""The closed-loop benchmark runs, goes on where it stopped, and compares predictors in the same episodes."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+if find_spec("benchmarks") is None:
+    pytest.skip("no benchmarks: they come with the repository", allow_module_level=True)
+
+from benchmarks import collaboration
+from benchmarks.collaboration_report import summarise
+
+from kinecast.evaluation.outcome import Outcome
+
+
+def run(monkeypatch: pytest.MonkeyPatch, folder: Path, episodes: int, limit: float = 0.4) -> dict[str, Any]:
+    """The command, in a tiny setting; its JSON."""
+    out = folder / "out.json"
+    arguments = ["", "--episodes", episodes, "--first", 2000, "--limit", limit, "--predictors", "reachable,none"]
+    paths = ["--data", folder, "--out", out, "--plot", folder / "plot.png"]
+    monkeypatch.setattr("sys.argv", [str(each) for each in (*arguments, *paths)])
+    collaboration.main()
+    result: dict[str, Any] = json.loads(out.read_text())
+    return result
+
+
+def test_it_goes_on_where_it_stopped_and_refuses_other_settings(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = run(monkeypatch, tmp_path, 1)
+    capsys.readouterr()
+    both = run(monkeypatch, tmp_path, 2)
+    said = capsys.readouterr().out
+    assert " 2001 none" in said
+    assert " 2000 none" not in said, "it was done before"
+    assert both["outcomes"]["none"]["2000"] == first["outcomes"]["none"]["2000"]
+    assert both["summary"]["reachable"]["episodes"] == 2
+    assert (tmp_path / "plot.png").stat().st_size > 1000
+    with pytest.raises(SystemExit, match="limit_s"):
+        run(monkeypatch, tmp_path, 2, limit=0.5)
+
+
+def test_the_first_predictors_go_first() -> None:
+    asked = list(collaboration.order([5, 6], ["a", "b", "c", "d"]))
+    assert asked == [(5, "a"), (5, "b"), (5, "c"), (6, "a"), (6, "b"), (6, "c"), (5, "d"), (6, "d")]
+
+
+def outcome(time_to_done: float, stops: int) -> Outcome:
+    return Outcome("done", 0, 0, 0.1, 0.0, time_to_done, stops, 0.3 * stops, 1, 0, 5.0, 9.0, 10.0, 40.0)
+
+
+def test_differences_are_of_the_same_episodes() -> None:
+    ours = {1: outcome(20.0, 1), 2: outcome(30.0, 0), 3: outcome(99.0, 9)}
+    theirs = {1: outcome(30.0, 2), 2: outcome(45.0, 3)}
+    result = summarise({"kinecast": ours, "reachable": theirs})
+    row = result["differences"]["kinecast - reachable"]
+    assert row["episodes"] == 2
+    assert row["time_to_done"]["mean"] == pytest.approx(-12.5)
+    assert row["time_to_done"]["error"] == pytest.approx(2.5)
+    assert row["stops"]["mean"] == pytest.approx(-2.0)
+    assert row["time_saved"] == pytest.approx(1 / 3)
