@@ -71,7 +71,7 @@ SCENARIOS = {
     ),
     "replan": Scenario(
         "The robot is on its way to green when the person reaches for it: blue instead, in mid-motion.",
-        (("green", 8.3, 2.0),),
+        (("green", 9.2, 2.0),),
     ),
 }
 """The paper's three demonstrations."""

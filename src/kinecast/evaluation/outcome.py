@@ -16,7 +16,7 @@ from kinecast.types import Reaction, RobotState
 __all__ = ["Outcome", "outcome_of"]
 
 MOVES = 0.01
-"""The arm moves where its fingertips do, faster than this [m/s]."""
+"""The arm moves while any point of it does, faster than this [m/s]."""
 LONG_ENOUGH = 0.25
 """A standstill on the way is a stop from this duration on [s]."""
 SOON, NEAR = 1.0, 0.27
@@ -65,9 +65,9 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
     stamps = np.array([tick.stamp for tick in ticks])
     dt = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     distance = np.array([tick.distance for tick in ticks])
-    moving = np.array([tick.tool_speed > MOVES for tick in ticks])
+    moving = np.array([tick.arm_speed > MOVES for tick in ticks])
     short = np.array([tick.margin < 0 for tick in ticks])
-    waiting = np.array([tick.state in ON_THE_WAY and tick.tool_speed <= MOVES for tick in ticks])
+    waiting = np.array([tick.state in ON_THE_WAY and tick.arm_speed <= MOVES for tick in ticks])
     stops = [last - first for first, last in _runs(waiting) if (last - first) * dt >= LONG_ENOUGH]
     missing = [name for name in cell.order if name not in episode.placed or name in episode.given_up]
     latency, planning = _percentiles(episode.latencies), _percentiles(episode.plannings)

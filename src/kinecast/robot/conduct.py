@@ -56,7 +56,7 @@ class Conduct:
             self._level_since = now
         elif braked or now - self._level_since >= self._settle:
             self.level, self._level_since = level, now
-        at_once = {self.cause, pace.restraint} & {Restraint.NOTHING, *AT_ONCE}
+        at_once = self.cause is Restraint.NOTHING or {self.cause, pace.restraint} & AT_ONCE
         if pace.restraint is self.cause:
             self._cause_since = now
         elif at_once or now - self._cause_since >= self._settle:

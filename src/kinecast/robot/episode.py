@@ -23,7 +23,7 @@ class Tick:
         distance: true least distance between the arm and a person [m]; inf without one.
         required: true S_p at the arm's and the person's true speeds, without errors of measurement [m].
         margin: true least d − S_p [m].
-        tool_speed: of the fingertips [m/s].
+        arm_speed: of the arm's fastest point [m/s].
         measured: distance as the robot knew it [m].
         limit: S_p as the robot knew it [m].
     """
@@ -34,7 +34,7 @@ class Tick:
     distance: float
     required: float
     margin: float
-    tool_speed: float
+    arm_speed: float
     measured: float
     limit: float
 

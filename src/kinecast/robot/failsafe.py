@@ -26,12 +26,16 @@ class FailsafeOptions:
         stopping: from full speed to rest [s]; less in proportion from a lower one.
         clearance: kept from the occupied region [m].
         speeds: shares of the planned speed to choose from, falling.
+        foresight: who may be on the way within this long makes the arm slower already [s] …
+        gentle: … but not below this share: it comes later, and they may be gone.
     """
 
     reaction: float = 0.04
     stopping: float = 0.25
     clearance: float = 0.01
     speeds: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12, 0.05)
+    foresight: float = 0.45
+    gentle: float = 0.25
 
     def __post_init__(self) -> None:
         for name in ("reaction", "stopping", "clearance"):
@@ -68,9 +72,25 @@ def free_speed(
         return options.speeds[0]
     speeds = np.array(options.speeds)
     spans = options.reaction + speeds * options.stopping
-    after = spans[:, None] * np.linspace(0.0, 1.0, INSTANTS)
-    if (_nearest(arm, path(speeds[0] * after[0]), now + after[0], occupancy) >= options.clearance).all():
+    ahead = np.linspace(0.0, max(options.foresight, spans[0]), 2 * INSTANTS)
+    if (_nearest(arm, path(speeds[0] * ahead), now + ahead, occupancy) >= options.clearance).all():
         return options.speeds[0]  # as nearly always
+    safe = _allowed(arm, path, now, occupancy, options, speeds, spans)
+    early = _allowed(arm, path, now, occupancy, options, speeds, np.full(len(speeds), ahead[-1]))
+    return min(safe, max(early, options.gentle))
+
+
+def _allowed(
+    arm: UR5,
+    path: Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N 6"]],
+    now: float,
+    occupancy: Occupancy,
+    options: FailsafeOptions,
+    speeds: Float[np.ndarray, " S"],
+    spans: Float[np.ndarray, " S"],
+) -> float:
+    """The greatest of the speeds (S,) at which the arm is free for so long (S,) [s], or 0."""
+    after = spans[:, None] * np.linspace(0.0, 1.0, INSTANTS)
     along = (speeds[:, None] * after).ravel()
     still = np.zeros(INSTANTS)
     q = path(np.concatenate([along, still]))

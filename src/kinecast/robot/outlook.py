@@ -86,6 +86,12 @@ class Outlook:
             growth_limit=0.0,
         )
 
+    def within(self, q: Float[np.ndarray, "6"], people: Occupancy, time: float) -> bool:
+        """Whether the arm at q [rad] is within what may be occupied at a time [s]."""
+        body = self.arm.body_points(q[None])
+        distance, _ = people.signed_distance(body.positions, np.array([time]))
+        return bool((distance < body.radius).any())
+
     def trusted(self, now: float) -> list[Prediction]:
         """Predictions that say more than what can be reached."""
         oldest = self.options.stale_after + 1e-9

@@ -155,7 +155,6 @@ class Simulation:
                 margin, required = found.margin, found.required
             if isinstance(person, MindfulPerson):
                 person.mind(LinkCapsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
-        tips = [self.arm.forward_kinematics(each)[:3, 3] for each in (last, q)]
         decision = command.decision
         self.episode.ticks.append(
             Tick(
@@ -165,7 +164,7 @@ class Simulation:
                 distance,
                 required,
                 margin,
-                float(np.linalg.norm(tips[1] - tips[0])) / dt,
+                float(np.linalg.norm(velocity, axis=-1).max()),
                 decision.distance,
                 decision.separation,
             )

@@ -121,10 +121,9 @@ class Supervisor:
         self._then = Step.NONE  # after a rest that is a retreat
         self._closed, self._since = False, 0.0
         self._asked = self._not_before = -np.inf
-        self._failures, self._trouble = 0, ""
+        self._failures, self._trouble, self._overlap = 0, "", 0.0
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
-        self._overlap = 0.0
         self._pace = Pace(0.0, Restraint.SILENCE, Separation(), 1.0)
         self._conduct = Conduct(self.options.rise, self.options.settle)
         self._decision = Decision(0.0, RobotState.WAITING, "It has not begun.", speed=0.0)
@@ -139,8 +138,7 @@ class Supervisor:
         if self._trajectory is None:
             return np.repeat(self.executor.q[None], len(seconds), axis=0)
         end = float(self._trajectory.times[-1])
-        q, _ = self._trajectory.at(end - self.executor.remaining + seconds)
-        return q
+        return self._trajectory.at(end - self.executor.remaining + seconds)[0]
 
     def see(self, shot: Shot, predictions: Sequence[Prediction], now: float) -> None:
         """Takes in a shot and what is predicted from it, one prediction a person; none means: nothing is predicted."""
@@ -329,14 +327,17 @@ class Supervisor:
         # From where it comes to rest if it brakes now, as it does: from there every way is open.
         q, seconds = self.executor.stopping()
         start_time = now + max(self.desk.latency, seconds)
-        people = self.outlook.to_plan_around() if why != "no people" else Occupancy.empty(now)
+        people = self.outlook.to_plan_around()
+        if why == "people" and self.outlook.within(q, people, start_time):
+            why, self._around_people = "no people", False  # no way begins there: not worth asking
+        people = Occupancy.empty(now) if why == "no people" else people
         self.desk.ask(Request(why, q, self._goals, people, start_time), now)
 
     def _take_answer(self, now: float) -> None:
         answer = self.desk.answer(now)
         if answer is None:
-            return
-        if answer.plan is not None:
+            pass
+        elif answer.plan is not None:
             self._adopt(answer, answer.plan.trajectory, now)
         elif answer.request.what == "around":
             self._asked = now + self.options.retry  # none around: it goes on, as slowly as it must
@@ -352,8 +353,7 @@ class Supervisor:
         """Follows a new path, unless it is another way to the same place and no better."""
         self._failures, self._trouble = 0, ""
         if answer.request.what == "around":
-            late = now - float(trajectory.times[0])
-            chance = self.outlook.overlap(lambda s: trajectory.at(trajectory.times[0] + late + s)[0], now)
+            chance = self.outlook.overlap(lambda seconds: trajectory.at(now + seconds)[0], now)
             if chance > self._overlap - self.options.better and self._around_people:
                 return
             self._reaction = Reaction.GO_AROUND

@@ -80,7 +80,7 @@ def check(episode: Episode) -> None:
 
 
 def speeds(episode: Episode, start: float, end: float) -> np.ndarray:
-    return np.array([tick.tool_speed for tick in episode.ticks if start <= tick.stamp < end])
+    return np.array([tick.arm_speed for tick in episode.ticks if start <= tick.stamp < end])
 
 
 @pytest.fixture(scope="module")
@@ -97,13 +97,13 @@ def test_alone_it_moves_the_cube_and_ends(alone: Episode) -> None:
         and state not in named[:k]
     ] == [RobotState.GRASPING, RobotState.PLACING, RobotState.DONE]  # fmt: skip
     np.testing.assert_allclose(alone.scenes[-1].cubes["red"], CELL.cubes[0].place, atol=0.01)
-    assert max(tick.tool_speed for tick in alone.ticks) < 1.5
+    assert max(tick.arm_speed for tick in alone.ticks) < 1.5
 
 
 def test_the_same_seed_gives_the_same_episode(alone: Episode) -> None:
     again = play()
     assert again.decisions == alone.decisions
-    assert [tick.tool_speed for tick in again.ticks] == [tick.tool_speed for tick in alone.ticks]
+    assert [tick.arm_speed for tick in again.ticks] == [tick.arm_speed for tick in alone.ticks]
 
 
 def test_a_person_who_stands_still_is_no_hindrance(alone: Episode) -> None:
