@@ -33,7 +33,7 @@ def test_replan_changes_the_cube_in_mid_motion_and_comes_back_for_the_other(kine
     assert switch["taken"]["green"] >= 0.5
     before = [each for each in decisions if each["stamp"] < switch["stamp"]]
     assert before[-1]["target"] == "green"
-    assert before[-1]["state"] == "moving"
+    assert before[-1]["state"] in ("moving", "slowed"), "on its way"
     assert list(episode["placed"]) == ["red", "blue", "green"]
     assert episode["outcome"]["contacts"] == 0
     for name in ("storyboard.png", "replan.gif", "replan_timeline.png"):
