@@ -1,13 +1,14 @@
 """What context is worth: goals in the scene, and a model per action.
 
-python -m benchmarks.context [--data FOLDER] [--parts goals vicon actions] [--model FILE] [--samples N] [--stride K]
+python -m benchmarks.context [--data FOLDER] [--parts goals cost vicon actions] [--model FILE] [--samples N]
 
-FOLDER (or the variable KINECAST_DATA) holds the recordings as docs/datasets.md names them. Three parts, each added to
-the JSON file as it ends:
+FOLDER (or the variable KINECAST_DATA) holds the recordings as docs/datasets.md names them. Parts, each added to the
+JSON file as it ends:
 
 goals: generated people (kinecast.datasets.synthetic, seeds that nothing was fitted on) with the shipped model, which
     has seen no generated person. The scene's goals as they are, all of them moved by 15 cm, and people who reach
     elsewhere.
+cost: what goals add to the processor time of a forecast of 1000 samples, on one core.
 vicon: the recordings name no objects, so a goal is known without looking ahead only where people have been before:
     places where wrists rested in the training recordings of the same task. Held-out recordings, a model trained on the
     others.
@@ -20,11 +21,13 @@ import argparse
 import json
 import os
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 
 from benchmarks.generalisation import VICON
@@ -209,6 +212,28 @@ def on_goals(samples: int, stride: int, people: int = PEOPLE) -> dict[str, Any]:
     return result
 
 
+def on_cost(samples: int) -> dict[str, Any]:
+    """The part `cost`: processor time of one forecast on one core, medians over one person's frames taken in turns."""
+    numba.set_num_threads(1)
+    method = shipped_methods()[1]["kinecast"]
+    assert isinstance(method, Horizon)
+    options = SyntheticOptions(subjects=1, recordings=1, duration=8.0)
+    scene, (person,) = table_scene(options), generate(options, SEED)
+    scenes = {count: Scene((), {name: scene.goals[name] for name in CUBES[:count]}) for count in (0, 1, 3, 5)}
+    seconds: dict[int, list[float]] = {count: [] for count in scenes}
+    (part,) = all_windows([person], every_frame(OPTIONS))
+    memory, rng = method.memory(), np.random.default_rng(SEED)
+    for _, observation, measured in followed(part):
+        method.follow(memory, observation, measured)
+        for count, each in scenes.items():
+            started = time.process_time()
+            method.forecast(observation, rng, samples, each, memory)
+            seconds[count].append(time.process_time() - started)
+    medians = {count: 1e3 * float(np.median(each[10:])) for count, each in seconds.items()}
+    print("  ".join(f"{count} goals +{each - medians[0]:.2f} ms" for count, each in medians.items() if count))
+    return {"frames": len(part), "forecast_ms_by_goals": {str(count): each for count, each in medians.items()}}
+
+
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
     """Every second recording of each task, and the others."""
     train_on: list[Recording] = []
@@ -329,7 +354,7 @@ def main() -> None:
     """Runs the parts asked for and writes each as it ends."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("KINECAST_DATA", "data")))
-    parser.add_argument("--parts", nargs="*", default=["goals", "vicon", "actions"])
+    parser.add_argument("--parts", nargs="*", default=["goals", "cost", "vicon", "actions"])
     parser.add_argument("--model", type=Path, default=Path(tempfile.gettempdir()) / "kinecast-context.npz")
     parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--stride", type=int, default=5)
@@ -339,6 +364,8 @@ def main() -> None:
     for part in arguments.parts:
         if part == "goals":
             found = on_goals(arguments.samples, arguments.stride)
+        elif part == "cost":
+            found = on_cost(1000)
         else:
             score = on_vicon if part == "vicon" else on_actions
             found = score(arguments.data, arguments.model, arguments.samples, arguments.stride)

@@ -71,7 +71,7 @@ class Pursuit:
         weights: (C,) of the components.
         shifts: (R, C) mean of z in each.
         spaces: (R, Q) orthonormal directions in which z is narrowed, by kind.
-        kind: (C,) which hands have a goal in each component: none 0, left 1, right 2, both 3.
+        kind: (C,) rising: which hands have a goal in each component: none 0, left 1, right 2, both 3.
     """
 
     goals: Mapping[str, Mapping[str, float]]
@@ -83,13 +83,17 @@ class Pursuit:
     def drawn(self, draws: Float[np.ndarray, "R S"], rng: np.random.Generator) -> Float[np.ndarray, "R S"]:
         """Draws of z from the mixture, out of draws of the base forecast: each component by its weight."""
         count = draws.shape[1]
-        places = (rng.permutation(count) + rng.random()) / count
-        owner = np.minimum(np.searchsorted(np.cumsum(self.weights), places), len(self.weights) - 1)
-        result = draws + self.shifts[:, owner]
+        # In any order of its own, so that which component a draw goes to says nothing of how large it is.
+        result = np.take(draws, rng.permutation(count), axis=1)
+        ends = np.ceil(np.cumsum(self.weights) * count - rng.random()).astype(int)
+        ends[-1] = count
+        starts = np.concatenate([[0], ends[:-1]])
         for kind, space in self.spaces.items():
-            rows = np.flatnonzero(self.kind[owner] == kind)
-            if len(rows):
-                result[:, rows] -= (1.0 - NARROWED) * (space @ (space.T @ draws[:, rows]))
+            own = np.flatnonzero(self.kind == kind)
+            part = result[:, starts[own[0]] : ends[own[-1]]]
+            part -= (1.0 - NARROWED) * (space @ (space.T @ part))
+        for start, end, shift in zip(starts, ends, self.shifts.T, strict=True):
+            result[:, start:end] += shift[:, None]
         return result
 
     def mean(self, factor: Float[np.ndarray, "T 6 3 R"]) -> Float[np.ndarray, "T 6 3"]:
@@ -164,7 +168,10 @@ def pursue(
     chosen = [_hypotheses(chances[hand], solved[hand], scales) for hand in (0, 1)]
     pairs = np.outer(chosen[0], chosen[1])
     left, right = np.nonzero(pairs >= LEAST * pairs.max())
-    weights, kind = pairs[left, right], (left > 0) + 2 * (right > 0)
+    kind = (left > 0) + 2 * (right > 0)
+    order = np.argsort(kind, kind="stable")
+    left, right, kind = left[order], right[order], kind[order]
+    weights = pairs[left, right]
     spaces, shifts = {}, np.zeros((both.shape[1], len(weights)))
     for hand, index in ((0, left), (1, right)):
         own = kind == 1 + hand
