@@ -80,21 +80,18 @@ class Pursuit:
     spaces: Mapping[int, Float[np.ndarray, "R Q"]] = field(default_factory=dict)
     kind: Int[np.ndarray, " C"] = field(default_factory=lambda: np.zeros(1, dtype=int))
 
-    def drawn(self, draws: Float[np.ndarray, "R S"], rng: np.random.Generator) -> Float[np.ndarray, "R S"]:
-        """Draws of z from the mixture, out of draws of the base forecast: each component by its weight."""
+    def move(self, draws: Float[np.ndarray, "R S"], rng: np.random.Generator) -> None:
+        """Makes draws of the base forecast, in random order, draws from the mixture: each component by its weight."""
         count = draws.shape[1]
-        # In any order of its own, so that which component a draw goes to says nothing of how large it is.
-        result = np.take(draws, rng.permutation(count), axis=1)
         ends = np.ceil(np.cumsum(self.weights) * count - rng.random()).astype(int)
         ends[-1] = count
         starts = np.concatenate([[0], ends[:-1]])
         for kind, space in self.spaces.items():
             own = np.flatnonzero(self.kind == kind)
-            part = result[:, starts[own[0]] : ends[own[-1]]]
+            part = draws[:, starts[own[0]] : ends[own[-1]]]
             part -= (1.0 - NARROWED) * (space @ (space.T @ part))
         for start, end, shift in zip(starts, ends, self.shifts.T, strict=True):
-            result[:, start:end] += shift[:, None]
-        return result
+            draws[:, start:end] += shift[:, None]
 
     def mean(self, factor: Float[np.ndarray, "T 6 3 R"]) -> Float[np.ndarray, "T 6 3"]:
         """(T, 6, 3) by which the mixture's mean differs from that of the base forecast [m]."""

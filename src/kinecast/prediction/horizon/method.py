@@ -277,10 +277,13 @@ class Horizon:
             factor = np.concatenate([factor, shared], axis=-1)
         mean = observation.to_torso(means.mean)
         draws = normals(rng, factor.shape[-1], samples)
-        draws *= common_factors(self.spread.weights, samples, rng)
+        common = common_factors(self.spread.weights, samples, rng)
         pursuit = self._pursuit(scene, observation, memory, mean, factor)
-        if pursuit is not None:
-            draws = pursuit.drawn(draws, rng)
+        if pursuit is None:
+            draws *= common
+        else:
+            draws *= rng.permutation(common)
+            pursuit.move(draws, rng)
         initial = postures_from_points(observation.points, continuous=True)[-1]
         motions = draw_motions(mean, factor, draws, rng, initial, self.limits, self.dt, *observation.frame)
         allowance = None
