@@ -65,6 +65,7 @@ class TestHelp:
             "train",
             "evaluate",
             "predict",
+            "live",
             "simulate",
         ]
 

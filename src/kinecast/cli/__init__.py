@@ -14,6 +14,7 @@ from kinecast.cli.demo import demo
 from kinecast.cli.download import download
 from kinecast.cli.evaluate import evaluate
 from kinecast.cli.info import info
+from kinecast.cli.live import live
 from kinecast.cli.predict import predict
 from kinecast.cli.progress import note
 from kinecast.cli.simulate import simulate
@@ -29,6 +30,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": train,
     "evaluate": evaluate,
     "predict": predict,
+    "live": live,
     "simulate": simulate,
 }
 

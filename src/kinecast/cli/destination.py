@@ -12,24 +12,25 @@ from kinecast.errors import OptionError
 __all__ = ["check_file", "check_folder", "without_empty_folders"]
 
 
-def check_file(out: Path, endings: tuple[str, ...]) -> None:
+def check_file(out: Path, endings: tuple[str, ...], option: str = "--out") -> None:
     """Check that a file can be written.
 
     Args:
         out: the file; one that is there will be replaced.
         endings: of its name, any of them.
+        option: that it was given with, for the message.
 
     Raises:
         OptionError: it has another ending, is a folder, or its folder is missing or not writable.
     """
     if out.suffix not in endings:
-        raise OptionError(f"--out {out}: its name must end in {' or '.join(endings)}")
+        raise OptionError(f"{option} {out}: its name must end in {' or '.join(endings)}")
     if out.is_dir():
-        raise OptionError(f"--out {out}: is a folder")
+        raise OptionError(f"{option} {out}: is a folder")
     folder = out.absolute().parent
     if not folder.is_dir():
-        raise OptionError(f"--out {out}: there is no folder {folder}")
-    _check_writable(out, folder)
+        raise OptionError(f"{option} {out}: there is no folder {folder}")
+    _check_writable(out, folder, option)
 
 
 def check_folder(out: Path) -> None:
@@ -61,9 +62,9 @@ def without_empty_folders(out: Path) -> Iterator[None]:
         raise
 
 
-def _check_writable(out: Path, folder: Path) -> None:
+def _check_writable(out: Path, folder: Path, option: str = "--out") -> None:
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise OptionError(f"--out {out}: nothing can be written in {folder} ({error.strerror})") from None
+        raise OptionError(f"{option} {out}: nothing can be written in {folder} ({error.strerror})") from None

@@ -14,10 +14,8 @@ from tyro.conf import Positional, arg
 from kinecast.cli.destination import check_file
 from kinecast.cli.options import File, FormatName, SceneFile, check_seed
 from kinecast.cli.progress import progress_bar
-from kinecast.cli.recordings import listed, read_recordings
-from kinecast.datasets.recording import Recording
+from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.datasets.table_file import Rows, Words, write_rows
-from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import stream
 from kinecast.prediction.predictor import Predictor, PredictorOptions
@@ -55,7 +53,7 @@ def predict(
     check_file(out, (".parquet", ".csv"))
     options = PredictorOptions(samples=samples, seed=seed)
     obstacles = None if scene is None else Scene.load(scene)
-    recordings = _one_scene(read_recordings((path,), format), path)
+    recordings = one_scene(read_recordings((path,), format), path, "predict")
     predictor = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
     predictions: list[Prediction] = []
     total = sum(len(recording.stamps) for recording in recordings)
@@ -70,21 +68,9 @@ def predict(
         print(f"  {status.name}: {count}" + ("" if status is Status.OK else f"  ({status.advice})"))
 
 
-def _one_scene(recordings: Sequence[Recording], path: Path) -> Sequence[Recording]:
-    """Recordings made at the same time, of one person each.
-
-    Raises:
-        OptionError: they are not.
-    """
-    if len({recording.person for recording in recordings}) < len(recordings):
-        names = listed([recording.name for recording in recordings])
-        raise OptionError(f"{path}: holds {len(recordings)} recordings ({names}); predict takes one")
-    return recordings
-
-
 def _without_samples(prediction: Prediction) -> Prediction:
     """Without samples and density, so that a long recording fits in memory."""
-    return replace(prediction, samples=prediction.samples[:0], density=None)
+    return replace(prediction, samples=np.empty((0, *prediction.samples.shape[1:])), density=None)
 
 
 def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor) -> Rows:

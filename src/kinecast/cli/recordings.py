@@ -11,7 +11,7 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 
-__all__ = ["listed", "read_recordings", "unseen"]
+__all__ = ["listed", "one_scene", "read_recordings", "unseen"]
 
 
 def read_recordings(paths: Sequence[Path], format: str | None, option: str = "") -> list[Recording]:
@@ -30,6 +30,22 @@ def read_recordings(paths: Sequence[Path], format: str | None, option: str = "")
         raise OptionError(f"{option}: no recording given".removeprefix(": "))
     with progress_bar("reading") as progress:
         return load_all(paths, format, progress=progress)
+
+
+def one_scene(recordings: Sequence[Recording], path: Path, command: str) -> Sequence[Recording]:
+    """Recordings made at the same time, of one person each.
+
+    Args:
+        recordings: all that a path holds.
+        path, command: for the message.
+
+    Raises:
+        OptionError: they are not.
+    """
+    if len({recording.person for recording in recordings}) < len(recordings):
+        names = listed([recording.name for recording in recordings])
+        raise OptionError(f"{path}: holds {len(recordings)} recordings ({names}); {command} takes one")
+    return recordings
 
 
 def unseen(train: Sequence[Recording], test: Sequence[Recording]) -> list[Recording]:

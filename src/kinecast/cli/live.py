@@ -1,0 +1,147 @@
+"""`kinecast live`: skeletons come in at the camera's pace, predictions go out."""
+
+from __future__ import annotations
+
+import heapq
+import logging
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+from rich.logging import RichHandler
+from tyro.conf import UseAppendAction, arg
+
+from kinecast.cli.destination import check_file
+from kinecast.cli.options import SceneFile, check_seed
+from kinecast.cli.progress import CONSOLE
+from kinecast.cli.recordings import one_scene, read_recordings
+from kinecast.errors import OptionError
+from kinecast.geometry.scene import Scene
+from kinecast.pipeline import frames
+from kinecast.prediction.predictor import Predictor, PredictorOptions
+from kinecast.types import SkeletonFrame
+
+__all__ = ["live"]
+
+Sources = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(name="source", metavar="SOURCE", help_behavior_hint="(once or more)"),
+]
+Sinks = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(name="sink", metavar="SINK", help_behavior_hint="(once or more)"),
+]
+
+
+def live(
+    sources: Sources,
+    sinks: Sinks,
+    model: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")] = None,
+    scene: SceneFile = None,
+    samples: int = 1000,
+    level: float = 0.95,
+    seed: int = 0,
+) -> None:
+    """Predicts from skeletons as they come, and sends each prediction on, until the sources end or Ctrl-C.
+
+    Args:
+        sources: a recording's path, recording:PATH?speed=2&repeat=1 to play it faster or again, ws://HOST:PORT or
+            udp://HOST:PORT to listen for skeletons (docs/live.md); without a HOST only this machine is heard.
+        sinks: ws://HOST:PORT to send predictions to all who connect, mcap:FILE for Foxglove, jsonl:FILE.
+        model: a model file.
+        scene: obstacles and goals, a YAML file.
+        samples: motions drawn per prediction.
+        level: probability that each tube holds.
+        seed: of the draws.
+    """
+    from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
+    from kinecast.live.loop import Live, Source
+    from kinecast.live.opening import open_sinks, open_sources, read_sink, read_source
+    from kinecast.live.sinks import Sink
+    from kinecast.perception.mailbox import Mailbox
+    from kinecast.perception.network import Network
+
+    check_seed(seed)
+    if not 0 < level < 1:
+        raise OptionError(f"--level {level} is outside 0..1")
+    inputs = [read_source(each) for each in _once("--source", sources)]
+    outputs = [read_sink(each) for each in _once("--sink", sinks)]
+    for each in outputs:
+        if isinstance(each.place, Path):
+            check_file(each.place, (each.place.suffix,), "--sink")
+    obstacles = None if scene is None else Scene.load(scene)
+    options = PredictorOptions(samples=samples, seed=seed)
+    first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
+    mailbox, network = Mailbox(), Network()
+    opened_sources: list[Source] = []
+    opened_sinks: list[Sink] = []
+    try:
+        open_sources(inputs, _frames, mailbox, network, opened_sources)
+        open_sinks(outputs, network, opened_sinks)
+        loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
+        for source in opened_sources:
+            print(f"source: {source.address}")
+        for sink in opened_sinks:
+            print(f"sink: {sink.address}")
+        print("Ctrl-C ends it", flush=True)
+        with _until_told() as stop, _logged(), shown(loop):
+            for source in opened_sources:
+                source.start()
+            loop.run(stop)
+    finally:
+        for source in opened_sources:
+            source.close()
+        for sink in opened_sinks:
+            sink.close()
+        network.close()
+    print(summary(loop))
+    failures = [sink.failure for sink in opened_sinks if sink.failure is not None]
+    if failures:
+        raise OSError("; ".join(failures))
+
+
+def _once(option: str, texts: Sequence[str]) -> Sequence[str]:
+    """The same, at least one and each once.
+
+    Raises:
+        OptionError: they are not.
+    """
+    if not texts:
+        raise OptionError(f"{option}: at least one is needed")
+    again = next((text for text in texts if texts.count(text) > 1 and not text.endswith(":0")), None)
+    if again is not None:
+        raise OptionError(f"{option} {again}: is there twice")
+    return texts
+
+
+def _frames(path: Path) -> list[SkeletonFrame]:
+    """All persons of a recording, frame after frame."""
+    recordings = one_scene(read_recordings((path,), None), path, "live")
+    return list(heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp))
+
+
+@contextmanager
+def _until_told() -> Iterator[threading.Event]:
+    """An event that Ctrl-C or SIGTERM sets instead of ending the program in the middle of something."""
+    stop = threading.Event()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _logged() -> Iterator[None]:
+    """What is logged goes to the terminal, above the table."""
+    handler = RichHandler(console=CONSOLE, show_path=False)
+    logger = logging.getLogger("kinecast")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)

@@ -1,0 +1,89 @@
+"""What `kinecast live` shows: sources, sinks and statuses, while it runs and at the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console, Group
+from rich.live import Live as Screen
+from rich.table import Table
+from rich.text import Text
+
+from kinecast.cli.progress import CONSOLE
+from kinecast.live.loop import Live
+from kinecast.live.sinks import Sink
+from kinecast.perception.mailbox import Feed
+from kinecast.types import Status
+
+__all__ = ["shown", "summary"]
+
+SILENT = 0.5
+"""After so long without a frame [s] a source is said to be silent."""
+PER_SECOND = 4
+WIDE = 160
+"""Of the summary, so that no address is cut [characters]."""
+
+
+@contextmanager
+def shown(loop: Live) -> Iterator[None]:
+    """A table in the terminal while it runs; nothing where there is no terminal."""
+    if not CONSOLE.is_terminal:
+        yield
+        return
+    with Screen(get_renderable=lambda: tables(loop), console=CONSOLE, refresh_per_second=PER_SECOND, transient=True):
+        yield
+
+
+def summary(loop: Live) -> str:
+    """The same as plain text."""
+    console = Console(width=WIDE, color_system=None, force_terminal=False)
+    with console.capture() as text:
+        console.print(tables(loop, running=False))
+    return "\n".join(line.rstrip() for line in text.get().splitlines())
+
+
+def tables(loop: Live, running: bool = True) -> Group:
+    """One table for what comes, one for what goes, one line for each status."""
+    comes = Table("source", "status", box=None, pad_edge=False)
+    for title in ("frames", "stale", "refused", "clients", "clock [s]", "set"):
+        comes.add_column(title, justify="right")
+    for feed in loop.mailbox.feeds:
+        counts = (feed.received, feed.superseded, feed.refused, feed.clients)
+        clock = "same" if feed.difference is None else f"{feed.difference:+.3f}"
+        comes.add_row(Text(feed.name), _state(loop, feed, running), *map(str, counts), clock, str(feed.clock_jumps))
+    goes = Table("sink", box=None, pad_edge=False)
+    for title in ("published", "dropped", "p50 [ms]", "p99 [ms]"):
+        goes.add_column(title, justify="right")
+    for sink in loop.sinks:
+        goes.add_row(Text(sink.address), *_figures(sink))
+    lines = [Text(f"{status.name}: {count}  {_advice(status)}".rstrip()) for status, count in _statuses(loop)]
+    return Group(comes, Text(), goes, Text(), *lines)
+
+
+def _statuses(loop: Live) -> list[tuple[Status, int]]:
+    return sorted(loop.statuses.copy().items(), key=lambda each: -each[1])
+
+
+def _advice(status: Status) -> str:
+    return "" if status is Status.OK else f"({status.advice})"
+
+
+def _state(loop: Live, feed: Feed, running: bool) -> Text:
+    """The status of the newest prediction, or why there is none."""
+    status = loop.last.get(feed)
+    if feed.ended or not running:
+        return Text("ended" if feed.ended else "–", "dim")
+    if feed.last is None or status is None:
+        return Text("waiting", "yellow")
+    silence = time.monotonic() - feed.last
+    if silence > SILENT:
+        return Text(f"silent for {silence:.0f} s", "red")
+    return Text(status.name, "green" if status is Status.OK else "yellow")
+
+
+def _figures(sink: Sink) -> tuple[str, ...]:
+    tally = sink.tally
+    latencies = (f"{1e3 * tally.latency(share):.1f}" if tally.published else "–" for share in (0.5, 0.99))
+    return str(tally.published), str(tally.dropped), *latencies

@@ -1,0 +1,175 @@
+"""A prediction as Foxglove draws it: the schema `foxglove.SceneUpdate` as JSON, and messages of it.
+
+Source: the message schemas of the Foxglove SDK (https://docs.foxglove.dev/docs/visualization/message-schemas).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.live.publication import Publication, arms_of
+from kinecast.types import LIMBS, Status
+
+__all__ = ["SCENE_UPDATE", "scene_update"]
+
+LIFETIME = 0.5
+"""How long what is drawn stays without a newer one [s]."""
+LINE_LIST = 2
+ABOVE = np.array([0.0, 0.0, 0.3])
+"""Where the words stand, from the highest joint [m]."""
+Colour = tuple[float, float, float]
+
+_SURE: Colour = (0.25, 0.75, 0.35)
+_UNSURE: Colour = (0.95, 0.65, 0.15)
+_LOST: Colour = (0.9, 0.2, 0.2)
+_SEEN: Colour = (0.85, 0.85, 0.85)
+_NO_TURN = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+_ORIGIN = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _NO_TURN}
+
+
+def scene_update(publication: Publication, time: float) -> dict[str, Any]:
+    """One person: the arms now, their mean at every step, tubes at the middle and the last step, the status.
+
+    Args:
+        publication: what to draw; joints and limbs that are NaN are left out.
+        time: of the drawing [s], 0 or more.
+    """
+    prediction, tubes = publication.prediction, publication.tubes
+    colour = _LOST if prediction.status in (Status.FAULT, Status.BLOCKED) else _UNSURE
+    colour = _SURE if prediction.status is Status.OK else colour
+    observed = arms_of(publication.frame)
+    steps = len(prediction.times)
+    lines = [_lines(observed, _SEEN, 1.0, 0.03)]
+    lines += [_lines(prediction.mean[k], colour, 0.9 - 0.7 * k / steps, 0.01) for k in range(steps)]
+    capsules = [
+        (tubes.start[step, limb], tubes.end[step, limb], tubes.radius[step, limb])
+        for step in sorted({steps // 2, steps - 1})
+        for limb in range(len(LIMBS))
+        if np.isfinite(tubes.radius[step, limb])
+    ]
+    top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)
+    entity = {
+        "timestamp": {"sec": int(time), "nsec": int(time % 1 * 1e9)},
+        "frame_id": publication.frame.frame_id,
+        "id": "/".join(publication.key),
+        "lifetime": {"sec": int(LIFETIME), "nsec": int(LIFETIME % 1 * 1e9)},
+        "frame_locked": False,
+        "metadata": [
+            {"key": "status", "value": prediction.status.name},
+            {"key": "source", "value": publication.source},
+        ],
+        "arrows": [],
+        "cubes": [],
+        "spheres": [_sphere(centre, radius, colour) for *ends, radius in capsules for centre in ends],
+        "cylinders": [_cylinder(start, end, radius, colour) for start, end, radius in capsules],
+        "lines": [line for line in lines if line["points"]],
+        "triangles": [],
+        "texts": [_text(f"{prediction.person}: {prediction.status.name}", top + ABOVE, colour)],
+        "models": [],
+    }
+    return {"deletions": [], "entities": [entity]}
+
+
+def _point(values: Float[np.ndarray, "3"]) -> dict[str, float]:
+    x, y, z = np.round(values, 4).tolist()
+    return {"x": x, "y": y, "z": z}
+
+
+def _rgba(colour: Colour, opacity: float) -> dict[str, float]:
+    return {"r": colour[0], "g": colour[1], "b": colour[2], "a": round(opacity, 2)}
+
+
+def _lines(arms: Float[np.ndarray, "6 3"], colour: Colour, opacity: float, thickness: float) -> dict[str, Any]:
+    seen = np.isfinite(arms).all(axis=1)
+    points = [_point(arms[joint]) for limb in LIMBS if seen[list(limb)].all() for joint in limb]
+    return {
+        "type": LINE_LIST, "pose": _ORIGIN, "thickness": thickness, "scale_invariant": False, "points": points,
+        "color": _rgba(colour, opacity), "colors": [], "indices": [],
+    }  # fmt: skip
+
+
+def _sphere(centre: Float[np.ndarray, "3"], radius: float, colour: Colour) -> dict[str, Any]:
+    pose = {"position": _point(centre), "orientation": _NO_TURN}
+    return {"pose": pose, "size": _point(np.full(3, 2 * radius)), "color": _rgba(colour, 0.15)}
+
+
+def _cylinder(
+    start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], radius: float, colour: Colour
+) -> dict[str, Any]:
+    length = float(np.linalg.norm(end - start))
+    pose = {"position": _point((start + end) / 2), "orientation": _from_z_to(end - start)}
+    size = {**_point(np.full(3, 2 * radius)), "z": round(length, 4)}
+    return {"pose": pose, "size": size, "bottom_scale": 1.0, "top_scale": 1.0, "color": _rgba(colour, 0.15)}
+
+
+def _text(text: str, place: Float[np.ndarray, "3"], colour: Colour) -> dict[str, Any]:
+    pose = {"position": _point(place), "orientation": _NO_TURN}
+    return {
+        "pose": pose, "billboard": True, "font_size": 0.06, "scale_invariant": False,
+        "color": _rgba(colour, 1.0), "text": text,
+    }  # fmt: skip
+
+
+def _from_z_to(direction: Float[np.ndarray, "3"]) -> dict[str, float]:
+    """The shortest turn of the z axis into a direction, as a unit quaternion: (1 + z·d, z × d), made unit."""
+    length = float(np.linalg.norm(direction))
+    if length < 1e-9:
+        return _NO_TURN
+    x, y, z = (direction / length).tolist()
+    if z < -1 + 1e-9:
+        return {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    w = math.sqrt((1 + z) / 2)
+    return {"x": round(-y / (2 * w), 6), "y": round(x / (2 * w), 6), "z": 0.0, "w": round(w, 6)}
+
+
+# The schema, from the fields of its parts.
+
+
+def _object(title: str, **fields: dict[str, Any]) -> dict[str, Any]:
+    return {"title": title, "type": "object", "properties": fields, "required": list(fields)}
+
+
+def _list(items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+def _schema() -> dict[str, Any]:
+    number, text, truth, whole = ({"type": name} for name in ("number", "string", "boolean", "integer"))
+    natural = {"type": "integer", "minimum": 0}
+    fraction = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+    time = {"title": "time", "type": "object", "properties": {"sec": natural, "nsec": fraction}}
+    duration = {"title": "duration", "type": "object", "properties": {"sec": whole, "nsec": fraction}}
+    point = _object("foxglove.Point3", x=number, y=number, z=number)
+    vector = _object("foxglove.Vector3", x=number, y=number, z=number)
+    turn = _object("foxglove.Quaternion", x=number, y=number, z=number, w=number)
+    pose = _object("foxglove.Pose", position=vector, orientation=turn)
+    colour = _object("foxglove.Color", r=number, g=number, b=number, a=number)
+    pair = _object("foxglove.KeyValuePair", key=text, value=text)
+    line = _object(
+        "foxglove.LinePrimitive", type={"enum": [0, 1, 2]}, pose=pose, thickness=number, scale_invariant=truth,
+        points=_list(point), color=colour, colors=_list(colour), indices=_list(natural),
+    )  # fmt: skip
+    cylinder = _object(
+        "foxglove.CylinderPrimitive", pose=pose, size=vector, bottom_scale=number, top_scale=number, color=colour
+    )
+    words = _object(
+        "foxglove.TextPrimitive", pose=pose, billboard=truth, font_size=number, scale_invariant=truth, color=colour,
+        text=text,
+    )  # fmt: skip
+    unused = _list({"type": "object"})
+    entity = _object(
+        "foxglove.SceneEntity", timestamp=time, frame_id=text, id=text, lifetime=duration, frame_locked=truth,
+        metadata=_list(pair), arrows=unused, cubes=unused,
+        spheres=_list(_object("foxglove.SpherePrimitive", pose=pose, size=vector, color=colour)),
+        cylinders=_list(cylinder), lines=_list(line), triangles=unused, texts=_list(words), models=unused,
+    )  # fmt: skip
+    deletion = _object("foxglove.SceneEntityDeletion", timestamp=time, type={"enum": [0, 1]}, id=text)
+    return _object("foxglove.SceneUpdate", deletions=_list(deletion), entities=_list(entity))
+
+
+SCENE_UPDATE = _schema()
+"""JSON schema of `foxglove.SceneUpdate`, without what is in arrows, cubes, triangles and models: they stay empty."""

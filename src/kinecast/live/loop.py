@@ -1,0 +1,99 @@
+"""The loop: the newest frame, its prediction, every sink. One thread predicts; nobody makes it wait."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
+
+from kinecast.live.publication import Publication
+from kinecast.live.sinks import Sink
+from kinecast.perception.mailbox import Arrival, Feed, Mailbox
+from kinecast.prediction.predictor import Predictor
+from kinecast.types import Prediction, Status
+
+__all__ = ["Live", "Source"]
+
+LOOK = 0.1
+"""Longest wait for a frame before looking whether to end [s]."""
+
+log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Puts frames into its feed from a thread of its own.
+
+    Attributes:
+        address: where frames come from, for messages.
+    """
+
+    address: str
+
+    def start(self) -> None:
+        """Begins."""
+        ...
+
+    def close(self) -> None:
+        """Ends; no frame comes afterwards."""
+        ...
+
+
+class Live:
+    """Sources → predictions → sinks.
+
+    Args:
+        mailbox: that the sources' feeds belong to.
+        make_predictor: a predictor for each source, so that one whose clock or persons lie is alone with that.
+        sinks: that take every prediction.
+        level: probability of the tubes.
+
+    Attributes:
+        statuses: how often each status was published.
+        last: per source the newest status.
+        failures: frames whose prediction could not be published.
+    """
+
+    def __init__(
+        self, mailbox: Mailbox, make_predictor: Callable[[], Predictor], sinks: Sequence[Sink], level: float = 0.95
+    ) -> None:
+        self.mailbox = mailbox
+        self.sinks = sinks
+        self.level = level
+        self.statuses: Counter[Status] = Counter()
+        self.last: dict[Feed, Status] = {}
+        self.published = 0
+        self.failures = 0
+        self._predictors = {feed: make_predictor() for feed in mailbox.feeds}
+
+    def run(self, stop: threading.Event) -> None:
+        """Until it is told to stop, or every source has ended."""
+        while not stop.is_set() and not self.mailbox.finished:
+            arrival = self.mailbox.take(LOOK)
+            if arrival is not None:
+                self.step(arrival)
+
+    def step(self, arrival: Arrival) -> None:
+        """One frame, start to end; whatever happens, it does not raise."""
+        try:
+            prediction = self._predict(arrival)
+            self.statuses[prediction.status] += 1
+            self.last[arrival.feed] = prediction.status
+            publication = Publication.of(
+                self.published + 1, arrival.feed.name, arrival.frame, prediction, self.level, arrival.acquired
+            )
+            self.published += 1
+            for sink in self.sinks:
+                sink.publish(publication)
+        except Exception:
+            self.failures += 1
+            if self.failures == 1:  # the others are counted
+                log.exception("%s: a prediction could not be published", arrival.feed.name)
+
+    def _predict(self, arrival: Arrival) -> Prediction:
+        delay = time.monotonic() - arrival.acquired
+        frame = arrival.frame
+        return self._predictors[arrival.feed].observe(frame, frame.stamp + max(delay, 0.0) * arrival.pace)

@@ -1,0 +1,151 @@
+"""Sources and sinks from what is written on the command line; whatever is wrong is said before anything starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import parse_qsl
+
+from kinecast.errors import OptionError
+from kinecast.live.loop import Source
+from kinecast.live.mcap import McapSink
+from kinecast.live.sinks import FileSink, JsonlSink, Sink
+from kinecast.live.websocket import WebSocketSink
+from kinecast.perception.mailbox import Mailbox
+from kinecast.perception.network import Address, Network, UdpSource, WebSocketSource
+from kinecast.perception.recorded import RecordedSource
+from kinecast.types import SkeletonFrame
+
+__all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_source"]
+
+SOURCE_FORMS = "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT or udp://HOST:PORT"
+SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH or jsonl:PATH"
+_FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
+
+
+@dataclass(frozen=True)
+class Description:
+    """A SOURCE or SINK, taken apart.
+
+    Attributes:
+        text: as written.
+        kind: "recording", "ws", "udp", "mcap" or "jsonl".
+        place: a path, or the address.
+        settings: what stands behind the question mark.
+    """
+
+    text: str
+    kind: str
+    place: Path | Address
+    settings: dict[str, str]
+
+
+def read_source(text: str) -> Description:
+    """Takes a SOURCE apart.
+
+    Raises:
+        OptionError: it is none.
+    """
+    if "://" in text:
+        return _address(text, ("ws", "udp"), (), f"--source {text}: expected {SOURCE_FORMS}")
+    if not text.startswith("recording:"):
+        return Description(text, "recording", Path(text), {})
+    path, _, query = text.removeprefix("recording:").partition("?")
+    return Description(text, "recording", Path(path), _settings(text, query, ("speed", "repeat")))
+
+
+def read_sink(text: str) -> Description:
+    """Takes a SINK apart.
+
+    Raises:
+        OptionError: it is none.
+    """
+    wrong = f"--sink {text}: expected {SINK_FORMS}"
+    if "://" in text:
+        return _address(text, ("ws",), ("format",), wrong)
+    kind, colon, path = text.partition(":")
+    if not colon or kind not in _FILES or not path:
+        raise OptionError(wrong)
+    ending = _FILES[kind][1]
+    if Path(path).suffix != ending:
+        raise OptionError(f"--sink {text}: its name must end in {ending}")
+    return Description(text, kind, Path(path), {})
+
+
+def open_sources(
+    sources: Sequence[Description],
+    play: Callable[[Path], Sequence[SkeletonFrame]],
+    mailbox: Mailbox,
+    network: Network,
+    opened: list[Source],
+) -> None:
+    """Opens sources, each with a feed of its own; network sources listen at once.
+
+    Args:
+        sources: which.
+        play: gives the frames of a recording.
+        mailbox: for their frames.
+        network: that they run in.
+        opened: those opened are appended, also when one fails.
+
+    Raises:
+        OptionError, DatasetError: one cannot be opened.
+    """
+    for each in sources:
+        if isinstance(each.place, Path):
+            speed, repeat = (_number(each, name) for name in ("speed", "repeat"))
+            frames = play(each.place)
+            opened.append(RecordedSource(each.text, mailbox.feed(each.text), frames, speed, int(repeat)))
+        else:
+            kind = WebSocketSource if each.kind == "ws" else UdpSource
+            opened.append(kind(each.place, mailbox.feed(each.text), network))
+
+
+def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink]) -> None:
+    """Opens sinks: addresses first, so that no file is replaced where one of them cannot be.
+
+    Args:
+        sinks: which.
+        network: that they run in.
+        opened: those opened are appended, also when one fails.
+
+    Raises:
+        OptionError: one cannot be opened.
+    """
+    for each in sinks:
+        if isinstance(each.place, Address):
+            opened.append(WebSocketSink(each.place, network, each.settings.get("format") == "msgpack"))
+    for each in sinks:
+        if isinstance(each.place, Path):
+            opened.append(_FILES[each.kind][0](each.place))
+
+
+def _address(text: str, schemes: tuple[str, ...], settings: tuple[str, ...], wrong: str) -> Description:
+    bare, _, query = text.partition("?")
+    if bare.partition("://")[0] not in schemes:
+        raise OptionError(wrong)
+    address = Address.parse(bare)
+    found = _settings(text, query, settings)
+    if found.get("format", "json") not in ("json", "msgpack"):
+        raise OptionError(f"{text}: format {found['format']}, allowed are json, msgpack")
+    return Description(text, address.scheme, address, found)
+
+
+def _settings(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]:
+    found = dict(parse_qsl(query, keep_blank_values=True))
+    unknown = sorted(set(found) - set(allowed))
+    if unknown or (query and not found):
+        raise OptionError(f"{text}: {', '.join(unknown) or query} unknown; allowed are {', '.join(allowed) or 'none'}")
+    return found
+
+
+def _number(source: Description, name: str) -> float:
+    value = source.settings.get(name, "1")
+    try:
+        number = float(value)
+        if name == "repeat" and number != int(number):
+            raise ValueError
+    except (ValueError, OverflowError):
+        raise OptionError(f"{source.text}: {name} {value!r} is no number") from None
+    return number

@@ -1,0 +1,111 @@
+"""What goes out for each frame, and its message: the schema is in docs/live.md."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.types import Prediction, SkeletonFrame, Tubes
+
+__all__ = ["Publication"]
+
+UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
+"""Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
+TENTH_OF_MILLIMETRE = 4
+"""Decimals of a position in metres; twice as many for a variance."""
+
+_JSON = msgspec.json.Encoder()
+_MSGPACK = msgspec.msgpack.Encoder()
+
+
+@dataclass(frozen=True)
+class Publication:
+    """A prediction, with what it rests on; samples and density are left behind, so that waiting ones stay small.
+
+    Attributes:
+        number: counts publications from 1.
+        source: name of the source.
+        frame: the frame it rests on.
+        prediction: without samples and density.
+        tubes: of the prediction.
+        acquired: when the frame was taken [s], on `time.monotonic`.
+    """
+
+    number: int
+    source: str
+    frame: SkeletonFrame
+    prediction: Prediction
+    tubes: Tubes
+    acquired: float
+
+    @classmethod
+    def of(
+        cls, number: int, source: str, frame: SkeletonFrame, prediction: Prediction, level: float, acquired: float
+    ) -> Publication:
+        """With tubes at a level."""
+        tubes = prediction.tubes(level)
+        light = replace(prediction, samples=np.empty((0, *prediction.samples.shape[1:])), density=None)
+        return cls(number, source, frame, light, tubes, acquired)
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Source and person."""
+        return self.source, self.prediction.person
+
+    @cached_property
+    def message(self) -> dict[str, Any]:
+        """As in docs/live.md; NaN where nothing is known, which JSON has as null."""
+        prediction, tubes = self.prediction, self.tubes
+        return {
+            "kind": "prediction",
+            "version": 1,
+            "number": self.number,
+            "source": self.source,
+            "person": prediction.person,
+            "frame_id": self.frame.frame_id,
+            "stamp": prediction.stamp,
+            "status": prediction.status.name,
+            "advice": prediction.status.advice,
+            "joints": prediction.joints,
+            "observed": _metres(arms_of(self.frame)),
+            "times": np.round(prediction.times, 6).tolist(),
+            "mean": _metres(prediction.mean),
+            "covariance": np.round(
+                prediction.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]], 2 * TENTH_OF_MILLIMETRE
+            ).tolist(),
+            "tubes": {
+                "level": tubes.level,
+                "start": _metres(tubes.start),
+                "end": _metres(tubes.end),
+                "radius": _metres(tubes.radius),
+            },
+            "goals": {hand: dict(goals) for hand, goals in prediction.goals.items()},
+        }
+
+    @cached_property
+    def json(self) -> bytes:
+        """The message as JSON."""
+        return _JSON.encode(self.message)
+
+    @cached_property
+    def msgpack(self) -> bytes:
+        """The message as msgpack."""
+        return _MSGPACK.encode(self.message)
+
+
+def arms_of(frame: SkeletonFrame) -> np.ndarray:
+    """(6, 3) the arm joints of a frame [m]; NaN where not seen."""
+    arms = np.full((len(ARM_JOINTS), 3), np.nan)
+    for row, joint in enumerate(ARM_JOINTS):
+        if joint in frame.joints:
+            arms[row] = frame.positions[frame.joints.index(joint)]
+    return arms
+
+
+def _metres(values: np.ndarray) -> Any:
+    return np.round(values, TENTH_OF_MILLIMETRE).tolist()

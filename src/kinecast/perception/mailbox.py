@@ -1,0 +1,131 @@
+"""Between sources and the predictor: the newest frame of each person, and never a queue."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import dataclass
+
+from kinecast.types import SkeletonFrame
+
+__all__ = ["Arrival", "Feed", "Mailbox"]
+
+QUIET = 5.0
+"""Between two lines in the log about one source [s]."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A frame on its way to the predictor.
+
+    Attributes:
+        feed: of the source it came from.
+        frame: as the source gave it.
+        acquired: when the camera took it [s], on `time.monotonic`.
+        pace: seconds of the frames' clock in a second of this machine's; above 1 for a recording played faster.
+    """
+
+    feed: Feed
+    frame: SkeletonFrame
+    acquired: float
+    pace: float = 1.0
+
+
+class Mailbox:
+    """Holds one frame a person: a newer one takes the place of one that was not fetched in time.
+
+    Sources take turns, and so do the persons of each: who sends more has no more of the predictor's time.
+    """
+
+    def __init__(self) -> None:
+        self.feeds: list[Feed] = []
+        self._waiting: dict[Feed, dict[str, Arrival]] = {}
+        self._changed = threading.Condition()
+
+    def feed(self, name: str) -> Feed:
+        """Where a new source puts its frames."""
+        feed = Feed(name, self)
+        self.feeds.append(feed)
+        return feed
+
+    @property
+    def finished(self) -> bool:
+        """Whether every source has ended and nothing is waiting."""
+        with self._changed:
+            return not self._waiting and all(feed.ended for feed in self.feeds)
+
+    def put(self, arrival: Arrival) -> None:
+        """Takes in a frame; never waits."""
+        with self._changed:
+            persons = self._waiting.setdefault(arrival.feed, {})
+            arrival.feed.superseded += arrival.frame.person in persons
+            persons[arrival.frame.person] = arrival
+            self._changed.notify()
+
+    def take(self, timeout: float) -> Arrival | None:
+        """The next frame to predict from; None where none came within so many seconds, or nothing will come."""
+        with self._changed:
+            if not self._waiting and not all(feed.ended for feed in self.feeds):
+                self._changed.wait(timeout)
+            if not self._waiting:
+                return None
+            feed, persons = next(iter(self._waiting.items()))
+            del self._waiting[feed]
+            arrival = persons.pop(next(iter(persons)))
+            if persons:
+                self._waiting[feed] = persons  # behind the other sources
+            return arrival
+
+    def wake(self) -> None:
+        """Whoever waits looks again."""
+        with self._changed:
+            self._changed.notify_all()
+
+
+class Feed:
+    """One source's way in, and what is counted of it.
+
+    Attributes:
+        name: of the source.
+        received: frames that came.
+        superseded: frames that a newer one of the same person replaced before the predictor was free.
+        refused: messages that were no frame, or not wanted.
+        difference: this machine's clock less the source's [s]; None where they are one.
+        clock_jumps: how often the source's clock was set.
+        clients: who is connected now.
+        last: when the newest frame came [s], on `time.monotonic`; None before.
+        ended: no frame will come any more.
+    """
+
+    def __init__(self, name: str, mailbox: Mailbox) -> None:
+        self.name = name
+        self.received = self.superseded = self.refused = self.clock_jumps = self.clients = 0
+        self.difference: float | None = None
+        self.last: float | None = None
+        self.ended = False
+        self._mailbox = mailbox
+        self._said = 0
+        self._quiet_until = -1.0
+
+    def put(self, frame: SkeletonFrame, acquired: float, pace: float = 1.0) -> None:
+        """Takes in a frame; see `Arrival`."""
+        self.received += 1
+        self.last = time.monotonic()
+        self._mailbox.put(Arrival(self, frame, acquired, pace))
+
+    def refuse(self, problem: str) -> None:
+        """Counts a message that was no frame, and says so in the log, at most every `QUIET` seconds."""
+        self.refused += 1
+        now = time.monotonic()
+        if now >= self._quiet_until:
+            more = self.refused - self._said - 1
+            log.warning("%s: %s%s", self.name, problem, f" (and {more} more refused before)" if more else "")
+            self._said, self._quiet_until = self.refused, now + QUIET
+
+    def end(self) -> None:
+        """Says that no frame will come any more."""
+        self.ended = True
+        self._mailbox.wake()
