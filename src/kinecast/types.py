@@ -176,11 +176,14 @@ class Prediction:
         """
         if not 0 < level <= 1:
             raise OptionError(f"level {level} is outside (0, 1]")
-        start, end = _limbs(self.samples)
-        centre_start, centre_end = start.mean(axis=0), end.mean(axis=0)
-        reach = np.maximum(np.linalg.norm(start - centre_start, axis=-1), np.linalg.norm(end - centre_end, axis=-1))
-        radius = np.quantile(reach, level, axis=0, method="higher")
-        return Tubes(self.times, centre_start, centre_end, radius, level)
+        centre = self.samples.mean(axis=0)
+        away = self.samples - centre
+        distances = np.sqrt(np.einsum("stjk,stjk->tjs", away, away))
+        start, end = np.array(LIMBS).T
+        reach = np.maximum(distances[:, start], distances[:, end])
+        last = int(np.ceil(level * (len(self.samples) - 1)))
+        radius = np.partition(reach, last, axis=-1)[..., last]  # of a NaN all are NaN, since the centre is
+        return Tubes(self.times, *_limbs(centre), radius, level)
 
 
 class RobotState(Enum):

@@ -94,6 +94,7 @@ def live(
     finally:
         for source in opened_sources:
             source.close()
+        mailbox.discard()
         for sink in opened_sinks:
             sink.close()
         network.close()

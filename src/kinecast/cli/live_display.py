@@ -22,7 +22,7 @@ __all__ = ["shown", "summary"]
 SILENT = 0.5
 """After so long without a frame [s] a source is said to be silent."""
 PER_SECOND = 4
-WIDE = 160
+WIDE = 1000
 """Of the summary, so that no address is cut [characters]."""
 
 

@@ -6,6 +6,7 @@ Source: the message schemas of the Foxglove SDK (https://docs.foxglove.dev/docs/
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ LINE_LIST = 2
 ABOVE = np.array([0.0, 0.0, 0.3])
 """Where the words stand, from the highest joint [m]."""
 Colour = tuple[float, float, float]
+Point = Sequence[float]
 
 _SURE: Colour = (0.25, 0.75, 0.35)
 _UNSURE: Colour = (0.95, 0.65, 0.15)
@@ -44,13 +46,12 @@ def scene_update(publication: Publication, time: float) -> dict[str, Any]:
     observed = arms_of(publication.frame)
     steps = len(prediction.times)
     lines = [_lines(observed, _SEEN, 1.0, 0.03)]
-    lines += [_lines(prediction.mean[k], colour, 0.9 - 0.7 * k / steps, 0.01) for k in range(steps)]
-    capsules = [
-        (tubes.start[step, limb], tubes.end[step, limb], tubes.radius[step, limb])
-        for step in sorted({steps // 2, steps - 1})
-        for limb in range(len(LIMBS))
-        if np.isfinite(tubes.radius[step, limb])
-    ]
+    lines += [_lines(mean, colour, 0.9 - 0.7 * k / steps, 0.01) for k, mean in enumerate(prediction.mean)]
+    drawn = sorted({steps // 2, steps - 1})
+    ends = np.stack((tubes.start[drawn], tubes.end[drawn]), axis=2).reshape(-1, 2, 3)
+    radii = tubes.radius[drawn].reshape(-1)
+    known = np.isfinite(radii)
+    capsules = list(zip(_rounded(ends[known]), _rounded(radii[known]), strict=True))
     top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)
     entity = {
         "timestamp": {"sec": int(time), "nsec": int(time % 1 * 1e9)},
@@ -64,19 +65,23 @@ def scene_update(publication: Publication, time: float) -> dict[str, Any]:
         ],
         "arrows": [],
         "cubes": [],
-        "spheres": [_sphere(centre, radius, colour) for *ends, radius in capsules for centre in ends],
-        "cylinders": [_cylinder(start, end, radius, colour) for start, end, radius in capsules],
+        "spheres": [_sphere(end, radius, colour) for ends, radius in capsules for end in ends],
+        "cylinders": [_cylinder(start, end, radius, colour) for (start, end), radius in capsules],
         "lines": [line for line in lines if line["points"]],
         "triangles": [],
-        "texts": [_text(f"{prediction.person}: {prediction.status.name}", top + ABOVE, colour)],
+        "texts": [_text(f"{prediction.person}: {prediction.status.name}", _rounded(top + ABOVE), colour)],
         "models": [],
     }
     return {"deletions": [], "entities": [entity]}
 
 
-def _point(values: Float[np.ndarray, "3"]) -> dict[str, float]:
-    x, y, z = np.round(values, 4).tolist()
-    return {"x": x, "y": y, "z": z}
+def _rounded(values: np.ndarray) -> Any:
+    """As Python's numbers, to 0.1 mm."""
+    return np.round(values, 4).tolist()
+
+
+def _point(values: Point) -> dict[str, float]:
+    return {"x": values[0], "y": values[1], "z": values[2]}
 
 
 def _rgba(colour: Colour, opacity: float) -> dict[str, float]:
@@ -84,29 +89,29 @@ def _rgba(colour: Colour, opacity: float) -> dict[str, float]:
 
 
 def _lines(arms: Float[np.ndarray, "6 3"], colour: Colour, opacity: float, thickness: float) -> dict[str, Any]:
-    seen = np.isfinite(arms).all(axis=1)
-    points = [_point(arms[joint]) for limb in LIMBS if seen[list(limb)].all() for joint in limb]
+    joints, seen = _rounded(arms), np.isfinite(arms).all(axis=1).tolist()
+    points = [_point(joints[joint]) for limb in LIMBS if seen[limb[0]] and seen[limb[1]] for joint in limb]
     return {
         "type": LINE_LIST, "pose": _ORIGIN, "thickness": thickness, "scale_invariant": False, "points": points,
         "color": _rgba(colour, opacity), "colors": [], "indices": [],
     }  # fmt: skip
 
 
-def _sphere(centre: Float[np.ndarray, "3"], radius: float, colour: Colour) -> dict[str, Any]:
+def _sphere(centre: Point, radius: float, colour: Colour) -> dict[str, Any]:
     pose = {"position": _point(centre), "orientation": _NO_TURN}
-    return {"pose": pose, "size": _point(np.full(3, 2 * radius)), "color": _rgba(colour, 0.15)}
+    return {"pose": pose, "size": _point([2 * radius] * 3), "color": _rgba(colour, 0.15)}
 
 
-def _cylinder(
-    start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], radius: float, colour: Colour
-) -> dict[str, Any]:
-    length = float(np.linalg.norm(end - start))
-    pose = {"position": _point((start + end) / 2), "orientation": _from_z_to(end - start)}
-    size = {**_point(np.full(3, 2 * radius)), "z": round(length, 4)}
+def _cylinder(start: Point, end: Point, radius: float, colour: Colour) -> dict[str, Any]:
+    axis = [b - a for a, b in zip(start, end, strict=True)]
+    middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
+    length = math.hypot(*axis)
+    pose = {"position": _point(middle), "orientation": _from_z_to(axis, length)}
+    size = {"x": 2 * radius, "y": 2 * radius, "z": length}
     return {"pose": pose, "size": size, "bottom_scale": 1.0, "top_scale": 1.0, "color": _rgba(colour, 0.15)}
 
 
-def _text(text: str, place: Float[np.ndarray, "3"], colour: Colour) -> dict[str, Any]:
+def _text(text: str, place: Point, colour: Colour) -> dict[str, Any]:
     pose = {"position": _point(place), "orientation": _NO_TURN}
     return {
         "pose": pose, "billboard": True, "font_size": 0.06, "scale_invariant": False,
@@ -114,16 +119,15 @@ def _text(text: str, place: Float[np.ndarray, "3"], colour: Colour) -> dict[str,
     }  # fmt: skip
 
 
-def _from_z_to(direction: Float[np.ndarray, "3"]) -> dict[str, float]:
-    """The shortest turn of the z axis into a direction, as a unit quaternion: (1 + z·d, z × d), made unit."""
-    length = float(np.linalg.norm(direction))
+def _from_z_to(axis: Point, length: float) -> dict[str, float]:
+    """The shortest turn of the z axis into a direction d, as a unit quaternion: (1 + z·d, z × d), made unit."""
     if length < 1e-9:
         return _NO_TURN
-    x, y, z = (direction / length).tolist()
+    x, y, z = (each / length for each in axis)
     if z < -1 + 1e-9:
         return {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
     w = math.sqrt((1 + z) / 2)
-    return {"x": round(-y / (2 * w), 6), "y": round(x / (2 * w), 6), "z": 0.0, "w": round(w, 6)}
+    return {"x": -y / (2 * w), "y": x / (2 * w), "z": 0.0, "w": w}
 
 
 # The schema, from the fields of its parts.

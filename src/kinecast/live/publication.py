@@ -99,10 +99,10 @@ class Publication:
 
 
 def arms_of(frame: SkeletonFrame) -> np.ndarray:
-    """(6, 3) the arm joints of a frame [m]; NaN where not seen."""
+    """(6, 3) the arm joints of a frame [m]; NaN where not seen, or where it has fewer positions than names."""
     arms = np.full((len(ARM_JOINTS), 3), np.nan)
     for row, joint in enumerate(ARM_JOINTS):
-        if joint in frame.joints:
+        if joint in frame.joints[: len(frame.positions)]:
             arms[row] = frame.positions[frame.joints.index(joint)]
     return arms
 

@@ -58,6 +58,7 @@ class FileSink:
         self.address = str(path)
         self.tally = Tally()
         self.failure: str | None = None
+        self._complained = False
         self._file: IO[bytes] = path.open("wb")
         self._waiting: queue.Queue[Publication | None] = queue.Queue(MOST_WAITING)
         self.begin(self._file)
@@ -88,24 +89,29 @@ class FileSink:
 
     def _run(self) -> None:
         while (publication := self._waiting.get()) is not None:
-            if self.failure is None and self._try(lambda: self.write(self._file, publication)):
+            if self.failure is None and self._try(self.write, publication):
                 self.tally.sent(time.monotonic() - publication.acquired)
             else:
                 self.tally.dropped += 1
         if self.failure is None:
-            self._try(lambda: self.finish(self._file))
-        self._try(self._file.close)
+            self._try(self.finish)
+        self._try(lambda file: file.close())
 
-    def _try(self, action: Callable[[], object]) -> bool:
-        """Whether it went well; the first failure is kept and logged."""
+    def _try(self, action: Callable[..., object], *arguments: object) -> bool:
+        """Whether it went well. After an error of the system nothing more is written; any other costs this one."""
         try:
-            action()
-        except Exception as error:  # a full disc must not end the others
+            action(self._file, *arguments)
+        except OSError as error:
             if self.failure is None:
                 self.failure = f"{self.address}: {error}"
                 log.error("%s: nothing more is written", self.failure)
-            return False
-        return True
+        except Exception:
+            if not self._complained:
+                self._complained = True
+                log.exception("%s: a prediction could not be written", self.address)
+        else:
+            return True
+        return False
 
 
 class JsonlSink(FileSink):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 
@@ -20,6 +21,9 @@ LARGEST_REQUEST = 1024
 """Clients have nothing to say here; what they say is passed over."""
 
 
+log = logging.getLogger(__name__)
+
+
 class WebSocketSink:
     """Sends predictions (docs/live.md): JSON as text, or msgpack as binary messages.
 
@@ -35,6 +39,7 @@ class WebSocketSink:
     def __init__(self, address: Address, network: Network, msgpack: bool = False) -> None:
         self.tally = Tally()
         self.failure: str | None = None
+        self._complained = False
         self._network = network
         self._msgpack = msgpack
         self._clients: set[ServerConnection] = set()
@@ -65,6 +70,16 @@ class WebSocketSink:
         with self._lock:
             newest, self._newest = self._newest, {}
         for publication in newest.values():
+            try:
+                self._broadcast(publication)
+            except Exception:
+                self.tally.dropped += 1
+                if not self._complained:
+                    self._complained = True
+                    log.exception("%s: a prediction could not be sent", self.address)
+
+    def _broadcast(self, publication: Publication) -> None:
+        if self._clients:
             content = publication.msgpack if self._msgpack else publication.json
             ready = [client for client in self._clients if client.transport.get_write_buffer_size() <= MOST_UNSENT]
             self.tally.dropped += len(self._clients) - len(ready)

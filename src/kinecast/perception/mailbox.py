@@ -68,7 +68,7 @@ class Mailbox:
     def take(self, timeout: float) -> Arrival | None:
         """The next frame to predict from; None where none came within so many seconds, or nothing will come."""
         with self._changed:
-            if not self._waiting and not all(feed.ended for feed in self.feeds):
+            if timeout and not self._waiting and not all(feed.ended for feed in self.feeds):
                 self._changed.wait(timeout)
             if not self._waiting:
                 return None
@@ -78,6 +78,11 @@ class Mailbox:
             if persons:
                 self._waiting[feed] = persons  # behind the other sources
             return arrival
+
+    def discard(self) -> None:
+        """Counts what still waits as superseded: nobody will take it."""
+        while (arrival := self.take(0.0)) is not None:
+            arrival.feed.superseded += 1
 
     def wake(self) -> None:
         """Whoever waits looks again."""
@@ -91,7 +96,7 @@ class Feed:
     Attributes:
         name: of the source.
         received: frames that came.
-        superseded: frames that a newer one of the same person replaced before the predictor was free.
+        superseded: frames that a newer one of the same person replaced before the predictor was free, or the end.
         refused: messages that were no frame, or not wanted.
         difference: this machine's clock less the source's [s]; None where they are one.
         clock_jumps: how often the source's clock was set.

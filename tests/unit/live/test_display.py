@@ -1,0 +1,56 @@
+"""The table in the terminal: what it says of sources and sinks, whatever their names hold."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.cli import live_display
+from kinecast.live.loop import Live
+from kinecast.live.publication import Publication
+from kinecast.live.tally import Tally
+from kinecast.perception.mailbox import Mailbox
+from kinecast.prediction.predictor import Predictor
+from kinecast.types import SkeletonFrame
+
+
+class Counted:
+    """A sink that only counts."""
+
+    address, failure = "mcap:[bold]a.mcap", None
+
+    def __init__(self) -> None:
+        self.tally = Tally()
+
+    def publish(self, publication: Publication) -> None:  # noqa: ARG002
+        self.tally.sent(0.0121)
+
+    def close(self) -> None:
+        pass
+
+
+def test_the_terminal_shows_sources_sinks_and_statuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr(live_display, "CONSOLE", Console(file=screen, force_terminal=True, width=160))
+    mailbox = Mailbox()
+    camera, silent = mailbox.feed("ws://camera"), mailbox.feed("udp://silent")
+    live = Live(mailbox, Predictor.shipped, [Counted()])
+    for k in range(3):
+        camera.put(SkeletonFrame(k / 30, ARM_JOINTS, np.zeros((6, 3))), 0.0)
+    camera.refuse("half a message")
+    with live_display.shown(live):
+        arrival = mailbox.take(0.0)
+        assert arrival is not None
+        live.step(arrival)
+    silent.end()
+    for text in (screen.getvalue(), live_display.summary(live)):
+        assert "[bold]a.mcap" in text
+        assert "udp://silent" in text
+    words = live_display.summary(live)
+    assert ["ws://camera", "–", "3", "2", "1", "0", "same", "0"] in [line.split() for line in words.splitlines()]
+    assert ["mcap:[bold]a.mcap", "1", "0", "12.5", "12.5"] in [line.split() for line in words.splitlines()]
+    assert "WARMING_UP: 1  (Fewer frames" in words or "IMPLAUSIBLE: 1  (" in words
