@@ -48,14 +48,14 @@ def tables(loop: Live, running: bool = True) -> Group:
     """One table for what comes, one for what goes, one line for each status."""
     comes = Table("source", "status", box=None, pad_edge=False)
     for title in ("frames", "stale", "refused", "clients", "clock [s]", "set"):
-        comes.add_column(title, justify="right")
+        comes.add_column(Text(title), justify="right")
     for feed in loop.mailbox.feeds:
         counts = (feed.received, feed.superseded, feed.refused, feed.clients)
         clock = "same" if feed.difference is None else f"{feed.difference:+.3f}"
         comes.add_row(Text(feed.name), _state(loop, feed, running), *map(str, counts), clock, str(feed.clock_jumps))
     goes = Table("sink", box=None, pad_edge=False)
     for title in ("published", "dropped", "p50 [ms]", "p99 [ms]"):
-        goes.add_column(title, justify="right")
+        goes.add_column(Text(title), justify="right")
     for sink in loop.sinks:
         goes.add_row(Text(sink.address), *_figures(sink))
     lines = [Text(f"{status.name}: {count}  {_advice(status)}".rstrip()) for status, count in _statuses(loop)]

@@ -50,6 +50,7 @@ def test_the_terminal_shows_sources_sinks_and_statuses(monkeypatch: pytest.Monke
     for text in (screen.getvalue(), live_display.summary(live)):
         assert "[bold]a.mcap" in text
         assert "udp://silent" in text
+        assert "p99 [ms]" in text
     words = live_display.summary(live)
     assert ["ws://camera", "–", "3", "2", "1", "0", "same", "0"] in [line.split() for line in words.splitlines()]
     assert ["mcap:[bold]a.mcap", "1", "0", "12.5", "12.5"] in [line.split() for line in words.splitlines()]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from kinecast.live.publication import Publication
 from kinecast.live.sinks import MOST_WAITING, FileSink, JsonlSink
 from kinecast.live.tally import Tally
 from kinecast.live.websocket import MOST_UNSENT, WebSocketSink
+from kinecast.perception.admission import Admission
 from kinecast.perception.mailbox import Mailbox
 from kinecast.perception.network import Address, Network
 from kinecast.prediction.predictor import Predictor, PredictorOptions
@@ -228,3 +230,54 @@ def test_the_loop_goes_on_whatever_happens(
     lines = [json.loads(line) for line in (tmp_path / "a.jsonl").read_text().splitlines()]
     assert len(lines) == 24
     assert {line["status"] for line in lines if line["source"] == "bad"} == {Status.FAULT.name}
+
+
+def test_a_source_that_lies_changes_nothing_for_another() -> None:
+    """Whatever a liar gets past the decoder is predicted and drawn, and the other's predictions stay the same."""
+    rng = np.random.default_rng(4)
+    mailbox = Mailbox()
+    camera, liar = mailbox.feed("camera"), mailbox.feed("liar")
+    taken: list[Publication] = []
+    sink = Kept(taken)
+    live = Live(mailbox, lambda: Predictor.load(MODEL, options=PredictorOptions(samples=20)), [sink])
+    alone = Predictor.load(MODEL, options=PredictorOptions(samples=20))
+    admission = Admission(liar)
+    now = time.monotonic() + 1e6  # acquired in the future: no delay, however busy the machine is
+    for k in range(150):
+        frame = SkeletonFrame(k / 30, ARM_JOINTS, REST + 0.02 * np.sin(k / 5), "0")
+        camera.put(frame, now)
+        for _ in range(3):
+            now += rng.choice((0.0, 0.01, 1.0))
+            scale = 1.0 if k % 40 < 25 else rng.choice((0.0, 1e-6, 1.0, 30.0))
+            stamp = (0.0, 1e9, -50.0, 9e10)[k // 40] + rng.choice((k / 30, k / 30, k / 30, 0.0))
+            arms = (scale * (REST + rng.normal(0, 0.002, REST.shape))).tolist()
+            if k % 40 > 15:
+                arms[rng.integers(6)][rng.integers(3)] = rng.choice((None, 0.0, 9999.0))
+            lie = {"stamp": stamp, "joints": ARM_JOINTS, "positions": arms, "person": str(rng.integers(3))}
+            admission.take(json.dumps(lie, default=float), "liar", now)
+        while (arrival := mailbox.take(0.0)) is not None:
+            live.step(arrival)
+        mine = next(each for each in reversed(taken) if each.source == "camera")
+        np.testing.assert_array_equal(mine.prediction.mean, alone.observe(frame).mean)
+    assert live.failures == 0
+    assert liar.refused == 0
+    assert liar.received > 400
+    assert len({each.prediction.status for each in taken if each.source == "liar"}) > 3
+    for each in taken:
+        fits(json.loads(json.dumps(scene_update(each, 0.0), allow_nan=False)), SCENE_UPDATE)
+        json.loads(each.json)
+
+
+class Kept:
+    """A sink in memory."""
+
+    address, failure, tally = "memory", None, Tally()
+
+    def __init__(self, taken: list[Publication]) -> None:
+        self.taken = taken
+
+    def publish(self, publication: Publication) -> None:
+        self.taken.append(publication)
+
+    def close(self) -> None:
+        pass
