@@ -78,26 +78,27 @@ def live(
     mailbox, network = Mailbox(), Network()
     opened_sources: list[Source] = []
     opened_sinks: list[Sink] = []
-    try:
-        open_sources(inputs, _frames, mailbox, network, opened_sources)
-        open_sinks(outputs, network, opened_sinks)
-        loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
-        for source in opened_sources:
-            print(f"source: {source.address}")
-        for sink in opened_sinks:
-            print(f"sink: {sink.address}")
-        print("Ctrl-C ends it", flush=True)
-        with _until_told() as stop, _logged(), shown(loop):
+    with _until_told() as stop, _logged():
+        try:
+            open_sources(inputs, _frames, mailbox, network, opened_sources)
+            open_sinks(outputs, network, opened_sinks)
+            loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
             for source in opened_sources:
-                source.start()
-            loop.run(stop)
-    finally:
-        for source in opened_sources:
-            source.close()
-        mailbox.discard()
-        for sink in opened_sinks:
-            sink.close()
-        network.close()
+                print(f"source: {source.address}")
+            for sink in opened_sinks:
+                print(f"sink: {sink.address}")
+            print("Ctrl-C ends it", flush=True)
+            with shown(loop):
+                for source in opened_sources:
+                    source.start()
+                loop.run(stop)
+        finally:
+            for source in opened_sources:
+                source.close()
+            mailbox.discard()
+            for sink in opened_sinks:
+                sink.close()
+            network.close()
     print(summary(loop))
     failures = [sink.failure for sink in opened_sinks if sink.failure is not None]
     if failures:

@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from kinecast import __version__
 from kinecast.live.foxglove import SCENE_UPDATE, scene_update
-from kinecast.live.publication import Publication
+from kinecast.live.publication import SCHEMA, Publication
 from kinecast.live.sinks import FileSink
 
 __all__ = ["PREDICTIONS", "SCENE", "McapSink"]
@@ -41,7 +41,7 @@ class McapSink(FileSink):
         self._writer = Writer(file, compression=CompressionType.LZ4)
         self._writer.start(profile="", library=f"kinecast {__version__}")
         schemas = {
-            PREDICTIONS: ("kinecast.Prediction", {"title": "kinecast.Prediction", "type": "object"}),
+            PREDICTIONS: ("kinecast.Prediction", SCHEMA),
             SCENE: ("foxglove.SceneUpdate", SCENE_UPDATE),
         }
         self._channels = {

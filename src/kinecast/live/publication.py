@@ -12,7 +12,7 @@ import numpy as np
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.types import Prediction, SkeletonFrame, Tubes
 
-__all__ = ["Publication"]
+__all__ = ["SCHEMA", "Publication", "arms_of"]
 
 UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
 """Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
@@ -109,3 +109,24 @@ def arms_of(frame: SkeletonFrame) -> np.ndarray:
 
 def _metres(values: np.ndarray) -> Any:
     return np.round(values, TENTH_OF_MILLIMETRE).tolist()
+
+
+def _schema() -> dict[str, Any]:
+    number: dict[str, Any] = {"type": ["number", "null"]}
+    row = {"type": "array", "items": number}
+    rows = {"type": "array", "items": row}
+    grid = {"type": "array", "items": rows}
+    text, whole = {"type": "string"}, {"type": "integer"}
+    tubes = {"level": number, "start": grid, "end": grid, "radius": rows}
+    fields = {
+        "kind": text, "version": whole, "number": whole, "source": text, "person": text, "frame_id": text,
+        "stamp": number, "status": text, "advice": text, "joints": {"type": "array", "items": text}, "observed": rows,
+        "times": row, "mean": grid, "covariance": grid,
+        "tubes": {"type": "object", "properties": tubes, "required": list(tubes)},
+        "goals": {"type": "object", "additionalProperties": {"type": "object", "additionalProperties": number}},
+    }  # fmt: skip
+    return {"title": "kinecast.Prediction", "type": "object", "properties": fields, "required": list(fields)}
+
+
+SCHEMA = _schema()
+"""JSON schema of the message."""

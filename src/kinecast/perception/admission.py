@@ -31,6 +31,11 @@ class Admission:
         self._senders: dict[Hashable, tuple[SourceClock, float]] = {}
         self._persons: dict[str, tuple[Hashable, float]] = {}
 
+    @property
+    def senders(self) -> int:
+        """How many are known now."""
+        return len(self._senders)
+
     def take(self, content: bytes | str, sender: Hashable, arrived: float) -> None:
         """One message.
 

@@ -100,7 +100,7 @@ class Feed:
         refused: messages that were no frame, or not wanted.
         difference: this machine's clock less the source's [s]; None where they are one.
         clock_jumps: how often the source's clock was set.
-        clients: who is connected now.
+        clients: how many are connected, or send datagrams, now.
         last: when the newest frame came [s], on `time.monotonic`; None before.
         ended: no frame will come any more.
     """

@@ -214,6 +214,7 @@ class UdpSource(asyncio.DatagramProtocol):
     """
 
     def __init__(self, address: Address, feed: Feed, network: Network) -> None:
+        self._feed = feed
         self._network = network
         self._admission = Admission(feed)
         self._transport = opened(address, lambda: network.run(self._bind(address)))
@@ -229,6 +230,7 @@ class UdpSource(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
         """Called by asyncio."""
         self._admission.take(data, addr, time.monotonic())
+        self._feed.clients = self._admission.senders
 
     async def _bind(self, address: Address) -> asyncio.DatagramTransport:
         loop = asyncio.get_running_loop()
