@@ -1,6 +1,6 @@
 """CHOMP beside RRTConnect on seeded random problems; replans beside a person; the batched signed distance.
 
-python -m benchmarks.planning [--problems N] [--seconds S] [--replans N] [--out JSON]
+python -m benchmarks.planning [--problems N] [--seconds S] [--replans N] [--episodes N] [--out JSON]
 
 A problem: a UR5 on a table, a start and a goal, both free, and ten capsules put across the straight way between them.
 RRTConnect (OMPL) has S seconds, ten by default; kinecast's planner (CHOMP, and RRTConnect as its seed where CHOMP stays
@@ -22,14 +22,19 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.machine import facts, milliseconds, save
+from kinecast.evaluation.collaboration import Forecasters, generated_person
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box
 from kinecast.robot.attempt import Attempt
+from kinecast.robot.camera import Camera, CameraOptions
+from kinecast.robot.cell import Cell
 from kinecast.robot.chomp import optimise, smoothest
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.occupancy import Occupancy, OccupancyOptions, occupied
+from kinecast.robot.person import MindfulPerson
 from kinecast.robot.planner import BEGUN_BY, Plan, Planner, PlannerOptions
 from kinecast.robot.seeding import Seeder
+from kinecast.robot.simulation import Simulation
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction
@@ -49,6 +54,7 @@ def main() -> None:
     parser.add_argument("--problems", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--replans", type=int, default=300)
+    parser.add_argument("--episodes", type=int, default=4)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     before = facts()
@@ -57,6 +63,7 @@ def main() -> None:
         "descent": descent(min(arguments.problems, 100)),
         "replan": replans(arguments.replans),
         "signed_distance": signed_distance(),
+        "cell": decisions(arguments.episodes),
     }
     save("planning", result, arguments.out, before)
     report(result)
@@ -227,6 +234,30 @@ def replans(count: int) -> dict[str, Any]:
     return {"found": found, "reasons": reasons, **milliseconds(took), "region": milliseconds(regions)}
 
 
+def decisions(episodes: int, limit: float = 60.0) -> dict[str, Any]:
+    """Frame in to decision out, and the plans beside it, in generated episodes: by the clock and in processor time.
+
+    Clocks of a busy machine also count whoever else computes on it.
+    """
+    forecasters = Forecasters()
+    result: dict[str, Any] = {}
+    for name, clock in (("clock", time.perf_counter), ("processor", time.process_time)):
+        latencies: list[float] = []
+        plannings: list[float] = []
+        for seed in range(FIRST_SEED, FIRST_SEED + episodes):
+            cell = Cell()
+            people = [MindfulPerson(generated_person(seed, cell))]
+            predict = forecasters.make("kinecast", people)
+            simulation = Simulation(people, predict, Camera(CameraOptions(seed=seed)), cell, limit=limit, clock=clock)
+            episode = simulation.run()
+            if name == "clock" and seed == FIRST_SEED:
+                continue  # in which everything is compiled
+            latencies += episode.latencies
+            plannings += episode.plannings
+        result[name] = {"decision": milliseconds(latencies), "plan": milliseconds(plannings)}
+    return result
+
+
 def _down(place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
     """A tool at a place that points down."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -277,6 +308,9 @@ def report(result: Mapping[str, Any]) -> None:
     for name in ("descent", "replan", "signed_distance"):
         row = result[name]
         print(f"{name:16}{'':8}{row['p50_ms']:10.2f}{row['p99_ms']:10.2f}")
+    for clock, rows in result["cell"].items():
+        for name, row in rows.items():
+            print(f"{name + ' by ' + clock:24}{row['p50_ms']:10.2f}{row['p99_ms']:10.2f}")
     print(f"replans that found a way: {result['replan']['found']} of {result['replan']['count']}")
 
 

@@ -36,6 +36,7 @@ def test_both_planners_are_timed_and_compared(capsys: pytest.CaptureFixture[str]
         "descent": planning.descent(2),
         "replan": planning.replans(4),
         "signed_distance": planning.signed_distance(5),
+        "cell": planning.decisions(2, limit=1.0),
     }
     assert set(result["planners"]) == {"rrt_connect", "kinecast"}
     assert result["recheck_collisions"] == 0
@@ -43,5 +44,6 @@ def test_both_planners_are_timed_and_compared(capsys: pytest.CaptureFixture[str]
     assert result["descent"]["waypoints"] == 40
     assert result["replan"]["count"] == 4
     assert result["signed_distance"]["p50_ms"] > 0
+    assert result["cell"]["processor"]["decision"]["count"] > result["cell"]["clock"]["decision"]["count"] > 20
     planning.report(result)
     assert "RRTConnect" in capsys.readouterr().out

@@ -92,15 +92,16 @@ class DeferredDesk:
     Args:
         solve: the planner.
         latency: [s].
+        clock: that its work is timed by [s].
     """
 
-    def __init__(self, solve: Solve, latency: float = 0.1) -> None:
+    def __init__(self, solve: Solve, latency: float = 0.1, clock: Callable[[], float] = time.perf_counter) -> None:
         if not latency >= 0:
             raise OptionError(f"latency {latency} s must be 0 or more")
         self.latency = latency
         self.worked = 0.0
         """Time spent planning in all [s], so that whoever measures the rest can take it off."""
-        self._solve = solve
+        self._solve, self._clock = solve, clock
         self._answer: Answer | None = None
         self._ready = 0.0
 
@@ -111,7 +112,7 @@ class DeferredDesk:
 
     def ask(self, request: Request, now: float) -> None:
         """Plans; the answer is there after the latency."""
-        self._answer = _answered(self._solve, request)
+        self._answer = _answered(self._solve, request, self._clock)
         self.worked += 1e-3 * self._answer.milliseconds
         self._ready = now + self.latency
 
@@ -162,15 +163,15 @@ class ThreadDesk:
         self._pool.shutdown(cancel_futures=True)
 
 
-def _answered(solve: Solve, request: Request) -> Answer:
+def _answered(solve: Solve, request: Request, clock: Callable[[], float] = time.perf_counter) -> Answer:
     """Never raises: the arm goes on whatever happens to its planner."""
-    started = time.perf_counter()
+    started = clock()
     try:
         found = solve(request)
     except Exception as error:
         log.exception("planning for %s failed", request.what)
-        return Answer(request, None, f"the planner failed: {error}", True, 1e3 * (time.perf_counter() - started))
-    milliseconds = 1e3 * (time.perf_counter() - started)
+        return Answer(request, None, f"the planner failed: {error}", True, 1e3 * (clock() - started))
+    milliseconds = 1e3 * (clock() - started)
     if isinstance(found, NoPlan):
         return Answer(request, None, found.reason, False, milliseconds)
     return Answer(request, found, "", False, milliseconds)

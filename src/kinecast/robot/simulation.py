@@ -60,6 +60,7 @@ class Simulation:
         latency: time until a plan can be had [s].
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
+        clock: that latencies are taken by [s]; nothing that happens depends on it.
     """
 
     def __init__(
@@ -73,12 +74,14 @@ class Simulation:
         latency: float = 0.1,
         dt: float = 0.008,
         limit: float = 60.0,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.arm, self.cell = UR5(), cell or Cell()
         self.people, self.predict, self.camera, self.limit = people, predict, camera or Camera(), limit
         q = self._start()
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
-        self.desk = DeferredDesk(solve or planner_of(Planner(self.arm, self.cell.scene, QUICK)), latency)
+        self._clock = clock
+        self.desk = DeferredDesk(solve or planner_of(Planner(self.arm, self.cell.scene, QUICK)), latency, clock)
         self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
         self.episode = Episode()
         self._truth = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0)
@@ -112,14 +115,14 @@ class Simulation:
     def _step(self, now: float) -> Command:
         episode, supervisor = self.episode, self.supervisor
         shots = self.camera.shots(now, self.people)
-        began, planned = time.perf_counter(), self.desk.worked
+        began, planned = self._clock(), self.desk.worked
         for shot in shots:
             predictions = [self.predict(frame, now) for frame in shot.frames]
             supervisor.see(shot, [each for each in predictions if each is not None], now)
         command = supervisor.control(now)
         planning = self.desk.worked - planned
         if shots:
-            episode.latencies.append(time.perf_counter() - began - planning)
+            episode.latencies.append(self._clock() - began - planning)
         if planning > 0:
             episode.plannings.append(planning)
         before = self.driver.state()
