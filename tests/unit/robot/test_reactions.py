@@ -1,0 +1,72 @@
+"""The whole loop with what the library ships: how soon it reacts, and faults of the camera and of persons together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import jaxtyping
+import numpy as np
+import pytest
+
+from kinecast.evaluation.collaboration import Forecasters, generated_person, simulate_scenario
+from kinecast.evaluation.outcome import outcome_of
+from kinecast.robot.camera import Camera, CameraOptions
+from kinecast.robot.cell import Cell
+from kinecast.robot.person import MindfulPerson, PlayedPerson
+from kinecast.robot.simulation import Simulation
+from kinecast.types import Reaction, RobotState
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _without_checks() -> Iterator[None]:
+    """Thousands of steps are too many to check every shape in; one short episode does (test_simulation)."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(scope="module")
+def forecasters() -> Forecasters:
+    return Forecasters(samples=60)
+
+
+def test_it_follows_another_path_within_150_ms_of_the_first_prediction_that_says_so(forecasters: Forecasters) -> None:
+    simulation = simulate_scenario("replan", "oracle", 0, forecasters)
+    said = switched = follows = np.inf
+    for command in simulation.steps():
+        decision = command.decision
+        if simulation.supervisor.sequence.probabilities["green"] >= 0.5:
+            said = min(said, decision.stamp)
+        if decision.reaction is Reaction.CHANGE_CUBE:
+            assert decision.target == "blue"
+            switched = min(switched, decision.stamp)
+        if decision.target == "blue" and simulation.desk.pending is None:
+            follows = decision.stamp
+            break
+    moving = [tick.arm_speed for tick in simulation.episode.ticks if said - 0.05 < tick.stamp < said]
+    assert min(moving) > 0.1, "in mid-motion"
+    assert switched == said
+    assert follows - said <= 0.15
+
+
+def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped_model(
+    forecasters: Forecasters,
+) -> None:
+    cell = Cell(cubes=Cell().cubes[:1])
+    whole = generated_person(5, Cell())
+    people = [
+        MindfulPerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, np.eye(4), (0.0, 5.5))),
+        MindfulPerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, np.eye(4), (7.0, 60.0))),
+    ]
+    camera = Camera(CameraOptions(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2))
+    simulation = Simulation(people, forecasters.make("kinecast", people), camera, cell, limit=40.0, dt=0.02)
+    episode = simulation.run()
+    outcome = outcome_of(episode, people, cell)
+    assert outcome.result == "done"
+    assert outcome.contacts_moving == 0
+    stopped = [each.reason for each in episode.decisions if each.state is RobotState.STOPPED]
+    assert any("camera is silent" in reason for reason in stopped)
+    assert not any("failed" in each.reason for each in episode.decisions)
+    speed = {round(tick.stamp, 2): tick.arm_speed for tick in episode.ticks}
+    assert max(v for t, v in speed.items() if 2.2 <= t < 3.5) < 1e-3
+    assert max(v for t, v in speed.items() if t > 3.6) > 0.1
