@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from kinecast.errors import OptionError
 from kinecast.robot.occupancy import Occupancy
@@ -75,9 +75,10 @@ def free_speed(
     ahead = np.linspace(0.0, max(options.foresight, spans[0]), 2 * INSTANTS)
     if (_nearest(arm, path(speeds[0] * ahead), now + ahead, occupancy) >= options.clearance).all():
         return options.speeds[0]  # as nearly always
-    safe = _allowed(arm, path, now, occupancy, options, speeds, spans)
-    early = _allowed(arm, path, now, occupancy, options, speeds, np.full(len(speeds), ahead[-1]))
-    return min(safe, max(early, options.gentle))
+    until_it_stands, early = _allowed(
+        arm, path, now, occupancy, options, speeds, np.stack([spans, np.full(len(speeds), ahead[-1])])
+    )
+    return min(until_it_stands, max(early, options.gentle))
 
 
 def _allowed(
@@ -87,19 +88,22 @@ def _allowed(
     occupancy: Occupancy,
     options: FailsafeOptions,
     speeds: Float[np.ndarray, " S"],
-    spans: Float[np.ndarray, " S"],
-) -> float:
-    """The greatest of the speeds (S,) at which the arm is free for so long (S,) [s], or 0."""
-    after = spans[:, None] * np.linspace(0.0, 1.0, INSTANTS)
+    spans: Float[np.ndarray, "B S"],
+) -> list[float]:
+    """The greatest of the speeds (S,) at which the arm is free for so long [s], or 0: B of them, for all spans."""
+    shares = np.linspace(0.0, 1.0, INSTANTS)
+    after = spans[..., None] * shares
+    waited = spans[:, :1] * shares
     along = (speeds[:, None] * after).ravel()
-    still = np.zeros(INSTANTS)
-    q = path(np.concatenate([along, still]))
-    waited = np.linspace(0.0, spans[0], INSTANTS)
-    nearest = _nearest(arm, q, now + np.concatenate([after.ravel(), waited]), occupancy)
+    q = path(np.concatenate([along, np.zeros(waited.size)]))
+    nearest = _nearest(arm, q, now + np.concatenate([after.ravel(), waited.ravel()]), occupancy)
     moving = nearest[: len(along)].reshape(after.shape)
-    standing = np.interp(after, waited, nearest[len(along) :])
-    allowed = ((moving >= options.clearance) | (moving >= standing - 1e-9)).all(axis=1)
-    return float(speeds[np.argmax(allowed)]) if allowed.any() else 0.0
+    standing = np.stack([
+        np.interp(*row) for row in zip(after, waited, nearest[len(along) :].reshape(waited.shape), strict=True)
+    ])  # fmt: skip
+    free = (moving >= options.clearance) | (moving >= standing - 1e-9)
+    allowed: Bool[np.ndarray, "B S"] = np.all(free, axis=-1)
+    return [float(speeds[np.argmax(row)]) if row.any() else 0.0 for row in allowed]
 
 
 def _nearest(

@@ -77,6 +77,17 @@ def test_the_arm_stops_in_time_from_the_speed_that_is_allowed(arm: UR5) -> None:
         assert distance.min() >= min(0.0, standing) - 1e-9
 
 
+def test_it_slows_gently_while_there_is_still_time_to_stop(arm: UR5) -> None:
+    turns, far = np.linspace(0.5, 1.3, 11), FailsafeOptions()
+    late, early = (
+        np.array([free_speed(arm, turning(1.5), 0.0, post(arm, float(turn)), options) for turn in turns])
+        for options in (FailsafeOptions(foresight=0.0), far)
+    )
+    assert (early <= late).all()
+    assert (early >= np.minimum(late, far.gentle)).all(), "it does not stop before it must"
+    assert ((late == 1.0) & (early < 1.0)).any()
+
+
 def test_in_somebodys_region_it_may_draw_back_but_not_go_on(arm: UR5) -> None:
     inside = post(arm, 0.1, 0.3)
     assert free_speed(arm, turning(1.0), 0.0, inside, FailsafeOptions()) == 0.0
