@@ -24,7 +24,7 @@ TIMES = ("latency_p50", "latency_p99", "planning_p50", "planning_p99")
 OURS, OTHERS = "kinecast", ("reachable", "zero_velocity", "none", "oracle", "gp_constrained")
 PANELS = (
     ("time_to_done", "Time to done, s"), ("stops", "Stops"), ("stopped", "Time in stops, s"),
-    ("violation", "Closer than S_p while moving, s"),
+    ("violation", "Nearer than S_p, s"),
 )  # fmt: skip
 
 Results = Mapping[str, Mapping[int, Outcome]]
