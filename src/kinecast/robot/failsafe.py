@@ -56,7 +56,7 @@ def free_speed(
 
     For every share s, the places that the arm passes until it stands, s t along its path for t up to reaction +
     s · stopping, must be free at their times; or at least no nearer to anybody than if it had stood still, so that it
-    may always draw back. Where that does not hold for t up to `foresight`, it is slower already, but not below `gentle`.
+    may always draw back. Where that fails for t up to `foresight` it is slower already, not below `gentle`.
 
     Args:
         arm: the arm.
