@@ -8,6 +8,7 @@ import platform
 import re
 from collections.abc import Sequence
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ import numpy as np
 
 from kinecast.evaluation.output import write_atomically
 
+PACKAGES = {"numpy": "numpy", "numba": "numba", "scipy": "scipy", "scikit-learn": "sklearn", "pyswarms": "pyswarms"}
+"""What figures depend on, where it is installed, and the name it is imported by."""
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -26,7 +29,7 @@ def facts() -> dict[str, Any]:
         "threads": numba.get_num_threads(),
         "load": os.getloadavg()[0],
         "python": platform.python_version(),
-        **{name: version(name) for name in ("numpy", "numba", "scipy", "scikit-learn", "pyswarms")},
+        **{name: version(name) for name in PACKAGES if find_spec(PACKAGES[name]) is not None},
     }
 
 

@@ -30,7 +30,7 @@ MODEL = ROOT / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
 COMMAND = (
     sys.executable,
     "-c",
-    "from kinecast.cli import main; main()",
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from kinecast.cli import main; main()",
     "live",
     "--model",
     str(MODEL),
@@ -69,8 +69,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
     def run(*arguments: str) -> Running:
         process = subprocess.Popen(
             (*COMMAND, *arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-        )  # fmt: skip
+            )  # fmt: skip
         started.append(process)
         found: dict[str, list[str]] = {"source": [], "sink": []}
         assert process.stdout is not None

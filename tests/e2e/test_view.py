@@ -30,7 +30,13 @@ WIDE, HIGH, SCENE = 960, 600, 560
 """Of the page; the cell is drawn left of the panel [pixels]."""
 POLL = 0.2
 """Between two looks [s]."""
-COMMAND = (sys.executable, "-c", "from kinecast.cli import main; main()", "simulate")
+COMMAND = (
+    sys.executable,
+    "-c",
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from kinecast.cli import main; main()",
+    "simulate",
+)
+"""Ctrl-C means something to it even where the tests run in the background."""
 
 
 def wait_for(what: str, look: Callable[[], Any]) -> Any:
@@ -134,7 +140,6 @@ def view(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     arguments = ("--view", "--port", "0", "--scenario", "avoid", "--predictor", "zero_velocity", "--samples", "60")
     process = subprocess.Popen(
         (*COMMAND, *arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     assert process.stdout is not None
     for line in process.stdout:

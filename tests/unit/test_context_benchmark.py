@@ -8,10 +8,8 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-# ruff: noqa: E402 - what may be missing is looked for first
-for name, where in (("sklearn", "kinecast[bench]"), ("pyswarms", "kinecast[bench]"), ("benchmarks", "the repository")):
-    if find_spec(name) is None:
-        pytest.skip(f"no {name}: it comes with {where}", allow_module_level=True)
+if find_spec("benchmarks") is None:
+    pytest.skip("no benchmarks: they come with the repository", allow_module_level=True)
 
 from benchmarks import context
 
