@@ -154,7 +154,8 @@ class Predictor:
             return self._reachable(frame.person, track.stamps[-1], now, *track.last_seen(), trouble, track.rng)
         memory = self._follow(track, observation)
         forecast = forecast_with(self.method, memory, observation, track.rng, self.options.samples, self.scene)
-        if not np.isfinite(forecast.samples).all():
+        covariance = joint_covariances(forecast.samples)
+        if not np.isfinite(covariance).all():  # a sample that is not finite makes it so
             return self._fault(frame)
         given_way = forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE
         if taken is Status.OK and given_way and _speed(observation) > AT_REST:
@@ -166,7 +167,7 @@ class Predictor:
         passed = observation.times(self.method.steps)[-1] <= now + 1e-9
         if passed or not -self.method.dt <= delay <= self.options.longest_delay:
             status = Status.LATE
-        return self._prediction(frame.person, observation, forecast, status, now)
+        return self._prediction(frame.person, observation, forecast, covariance, status, now)
 
     def _follow(self, track: Track, observation: Observation) -> Any:
         """What is remembered of this person after this frame; None for methods that remember nothing.
@@ -183,7 +184,13 @@ class Predictor:
         return track.memory
 
     def _prediction(
-        self, person: str, observation: Observation, forecast: Forecast, status: Status, now: float
+        self,
+        person: str,
+        observation: Observation,
+        forecast: Forecast,
+        covariance: Float[np.ndarray, "T 6 3 3"],
+        status: Status,
+        now: float,
     ) -> Prediction:
         times = observation.times(self.method.steps)
         ahead = _ahead(times, now)
@@ -192,7 +199,7 @@ class Predictor:
             times=times[ahead],
             samples=forecast.samples if ahead.all() else forecast.samples[:, ahead],
             mean=forecast.mean[ahead],
-            covariance=joint_covariances(forecast.samples)[ahead],
+            covariance=covariance[ahead],
             joints=ARM_JOINTS,
             person=person,
             status=status,
