@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Protocol, runtime_checkable
 
@@ -144,6 +144,10 @@ class Prediction:
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     density: Density | None = None
     goals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def without_samples(self) -> Prediction:
+        """The same without samples and density, so that many can be kept."""
+        return replace(self, samples=np.empty((0, *self.samples.shape[1:])), density=None)
 
     def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
         """(T,) log density [nats] of a pose of the six joints at each step; -inf without a density.

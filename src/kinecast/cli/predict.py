@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -59,18 +58,13 @@ def predict(
     total = sum(len(recording.stamps) for recording in recordings)
     with progress_bar("predicting") as progress:
         for prediction in stream(recordings, predictor):
-            predictions.append(_without_samples(prediction))
+            predictions.append(prediction.without_samples())
             progress(len(predictions), total)
     write_rows(out, _rows(predictions, path, predictor))
     p50, p99 = np.percentile([prediction.diagnostics["milliseconds"] for prediction in predictions], [50, 99])
     print(f"{out}: {len(predictions)} predictions; p50 {p50:.1f} ms, p99 {p99:.1f} ms a frame")
     for status, count in Counter(prediction.status for prediction in predictions).most_common():
         print(f"  {status.name}: {count}" + ("" if status is Status.OK else f"  ({status.advice})"))
-
-
-def _without_samples(prediction: Prediction) -> Prediction:
-    """Without samples and density, so that a long recording fits in memory."""
-    return replace(prediction, samples=np.empty((0, *prediction.samples.shape[1:])), density=None)
 
 
 def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor) -> Rows:

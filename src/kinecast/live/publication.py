@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -49,8 +49,7 @@ class Publication:
     ) -> Publication:
         """With tubes at a level."""
         tubes = prediction.tubes(level)
-        light = replace(prediction, samples=np.empty((0, *prediction.samples.shape[1:])), density=None)
-        return cls(number, source, frame, light, tubes, acquired)
+        return cls(number, source, frame, prediction.without_samples(), tubes, acquired)
 
     @property
     def key(self) -> tuple[str, str]:

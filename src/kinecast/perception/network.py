@@ -158,7 +158,24 @@ def opened(address: Address, opening: Callable[[], _T]) -> _T:
         raise OptionError(f"{address}: nothing can listen there ({why})") from None
 
 
-class WebSocketSource:
+class _Listener:
+    """What both sources share: frames pass `Admission` on their way to a feed.
+
+    Args:
+        feed: where frames go.
+        network: that it runs in.
+    """
+
+    def __init__(self, feed: Feed, network: Network) -> None:
+        self._feed = feed
+        self._network = network
+        self._admission = Admission(feed)
+
+    def start(self) -> None:
+        """Nothing: it listens from the beginning, and the mailbox keeps the newest."""
+
+
+class WebSocketSource(_Listener):
     """A WebSocket server that clients send skeletons to, one a message.
 
     Args:
@@ -171,14 +188,9 @@ class WebSocketSource:
     """
 
     def __init__(self, address: Address, feed: Feed, network: Network) -> None:
-        self._feed = feed
-        self._network = network
-        self._admission = Admission(feed)
+        super().__init__(feed, network)
         self._server = opened(address, lambda: network.run(listen(address, self._receive, LARGEST_MESSAGE)))
         self.address = feed.name = str(Address(address.scheme, address.host, port_of(self._server)))
-
-    def start(self) -> None:
-        """Nothing: it listens from the beginning, and the mailbox keeps the newest."""
 
     def close(self) -> None:
         """Says goodbye to clients and stops listening."""
@@ -201,7 +213,7 @@ class WebSocketSource:
             self._admission.leave(connection.id)
 
 
-class UdpSource(asyncio.DatagramProtocol):
+class UdpSource(_Listener, asyncio.DatagramProtocol):
     """A UDP port that skeletons are sent to, one a datagram.
 
     Args:
@@ -214,14 +226,9 @@ class UdpSource(asyncio.DatagramProtocol):
     """
 
     def __init__(self, address: Address, feed: Feed, network: Network) -> None:
-        self._feed = feed
-        self._network = network
-        self._admission = Admission(feed)
+        super().__init__(feed, network)
         self._transport = opened(address, lambda: network.run(self._bind(address)))
         self.address = feed.name = str(Address("udp", address.host, self._transport.get_extra_info("sockname")[1]))
-
-    def start(self) -> None:
-        """Nothing: it listens from the beginning, and the mailbox keeps the newest."""
 
     def close(self) -> None:
         """Stops listening."""

@@ -151,15 +151,12 @@ def draw(seed: np.uint64, mean: float, sd: float, lower: float, upper: float) ->
     """
     near = _nearest(mean, lower, upper)
     far = lower if upper - near < near - lower else upper
-    inverse = 1.0 / sd if sd > 0.0 else math.inf
-    c, width = (near - mean) * inverse, (far - near) * inverse
-    if width * (c + 0.5 * width) <= GENTLE:
+    if sd > 0.0 and -_tilt(far, near, mean, sd) <= GENTLE:
         for attempt in range(1, 2 * MOST_TRIES, 2):
             x = lower + hashed_uniform(seed, np.uint64(attempt)) * (upper - lower)
-            t = (x - near) * inverse
-            drop = t * (c + 0.5 * t)
+            tilt = _tilt(x, near, mean, sd)
             chance = hashed_uniform(seed, np.uint64(attempt + 1))
-            if chance <= 1.0 - drop or chance <= math.exp(-drop):
+            if chance <= 1.0 + tilt or chance <= math.exp(tilt):
                 return _nearest(x, lower, upper)
     return sample(hashed_uniform(seed, np.uint64(0)), mean, sd, lower, upper)
 
