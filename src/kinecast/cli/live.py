@@ -58,8 +58,8 @@ def live(
         seed: of the draws.
     """
     from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
+    from kinecast.cli.live_opening import open_sinks, open_sources, read_sink, read_source
     from kinecast.live.loop import Live, Source
-    from kinecast.live.opening import open_sinks, open_sources, read_sink, read_source
     from kinecast.live.sinks import Sink
     from kinecast.perception.mailbox import Mailbox
     from kinecast.perception.network import Network
