@@ -12,9 +12,10 @@ from jaxtyping import Bool, Float
 
 from kinecast.errors import OptionError
 from kinecast.geometry.distances import ROW, arms_are_free, scene_distances, segment_distances
+from kinecast.geometry.entries import read_text
 from kinecast.geometry.motion import MovingObstacle
 from kinecast.geometry.regions import Regions
-from kinecast.geometry.scene_file import NO_GOAL, parse_scene, read_scene_text
+from kinecast.geometry.scene_file import NO_GOAL, parse_scene
 from kinecast.geometry.shapes import Box, Shape, Sphere
 
 __all__ = ["Scene"]
@@ -50,7 +51,7 @@ class Scene:
         Raises:
             DatasetError: names the file, the entry, what was found and what is allowed.
         """
-        return cls.from_yaml(read_scene_text(Path(path)), path)
+        return cls.from_yaml(read_text(Path(path)), path)
 
     @classmethod
     def from_yaml(cls, text: str, where: object = "scene") -> Scene:

@@ -1,0 +1,173 @@
+"""YAML files of mappings, read strictly: what is misspelt, repeated, too large or no number is named with its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from reprlib import Repr
+from typing import TypeVar
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+
+from kinecast.errors import DatasetError, OptionError
+
+__all__ = ["Entry", "built", "parse_yaml", "read_text"]
+
+MAXIMUM_BYTES = 1_000_000
+MAXIMUM_DEPTH = 8
+LARGEST = 100.0
+"""No cell is 100 m wide and nothing in it moves at 100 m/s: a larger number is in millimetres."""
+
+T = TypeVar("T")
+
+_short = Repr()
+_short.maxother = _short.maxstring = 40
+
+
+def read_text(path: Path) -> str:
+    """The text of a file, bounded.
+
+    Raises:
+        DatasetError: no such file, too large, or not text.
+    """
+    if not path.is_file():
+        raise DatasetError(path, "no such file")
+    with path.open("rb") as file:
+        content = file.read(MAXIMUM_BYTES + 1)
+    if len(content) > MAXIMUM_BYTES:
+        raise DatasetError(path, f"at most {MAXIMUM_BYTES} bytes are read; this file is larger")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DatasetError(path, f"byte {error.start} is not UTF-8 text") from None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One mapping of the file, which knows its place for errors; `allowed` keys, or None until told."""
+
+    where: object
+    name: str
+    found: object
+    allowed: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.found, dict):
+            raise self.error(f"expected entries `key: value`, found {_short.repr(self.found)}")
+        if self.allowed is not None:
+            self.only(*self.allowed)
+
+    @property
+    def values(self) -> dict[object, object]:
+        assert isinstance(self.found, dict)
+        return self.found
+
+    def error(self, problem: str, key: str = "") -> DatasetError:
+        place = ".".join(part for part in (self.name, key) if part)
+        return DatasetError(f"{self.where}, {place}" if place else self.where, problem)
+
+    def only(self, *allowed: str) -> None:
+        """Nothing but these keys."""
+        for key in self.values:
+            if key not in allowed:
+                raise self.error(f"unknown entry {_short.repr(key)}; allowed: {', '.join(allowed)}")
+
+    def child(self, key: str, value: object) -> Entry:
+        return Entry(self.where, f"{self.name}.{key}" if self.name else key, value)
+
+    def children(self, key: str) -> list[Entry]:
+        """The entries of a list; none if the key is absent."""
+        items = self.values.get(key, [])
+        if not isinstance(items, list):
+            raise self.error(f"expected a list of entries, each starting with `- `, found {_short.repr(items)}", key)
+        return [self.child(f"{key}[{i}]", item) for i, item in enumerate(items)]
+
+    def named_children(self, key: str) -> dict[str, Entry]:
+        """The entries of a mapping from names; none if the key is absent."""
+        items = self.values.get(key, {})
+        if not isinstance(items, dict):
+            raise self.error(f"expected entries `name: ...`, found {_short.repr(items)}", key)
+        for name in items:
+            if not isinstance(name, str):
+                raise self.error(f"a name must be text, found {_short.repr(name)}", key)
+        return {name: self.child(f"{key}.{name}", item) for name, item in items.items()}
+
+    def number(self, key: str, unit: str, limit: float = LARGEST) -> float:
+        """A finite number."""
+        return self._checked(key, self._value(key), unit, limit)
+
+    def vector(self, key: str, size: int, unit: str, limit: float = LARGEST) -> Float[np.ndarray, " size"]:
+        """A list of finite numbers."""
+        value = self._value(key)
+        if not isinstance(value, list) or len(value) != size:
+            raise self.error(f"expected a list of {size} numbers {unit}, found {_short.repr(value)}", key)
+        return np.array([self._checked(f"{key}[{i}]", item, unit, limit) for i, item in enumerate(value)])
+
+    def _value(self, key: str) -> object:
+        if key not in self.values:
+            raise self.error(f"`{key}` is missing; found: {', '.join(map(str, self.values)) or 'nothing'}")
+        return self.values[key]
+
+    def _checked(self, key: str, value: object, unit: str, limit: float) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(f"expected a number {unit}, found {_short.repr(value)}", key)
+        if not -limit <= value <= limit:
+            hint = "; lengths are in metres" if limit == LARGEST else ""
+            raise self.error(f"{value} {unit} is outside -{limit:g}..{limit:g}{hint}", key)
+        return float(value)
+
+
+def built(entry: Entry, build: Callable[[Entry], T]) -> T:
+    """What `build` makes of an entry; its own complaints get the place in the file."""
+    try:
+        return build(entry)
+    except OptionError as error:
+        raise entry.error(str(error)) from None
+
+
+def parse_yaml(text: str, where: object) -> object:
+    """The parsed text: safe types only, no aliases, no repeated keys, bounded nesting."""
+    if len(text) > MAXIMUM_BYTES:
+        raise DatasetError(where, f"at most {MAXIMUM_BYTES} characters are read, found {len(text)}")
+    try:
+        _check_structure(text, where)
+        return yaml.safe_load(text)
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
+        raise DatasetError(f"{where}{line}", f"not valid YAML: {error.problem}") from None
+    except (yaml.YAMLError, ValueError) as error:
+        if isinstance(error, DatasetError):
+            raise
+        raise DatasetError(where, f"not valid YAML: {_short.repr(str(error))}") from None
+
+
+def _check_structure(text: str, where: object) -> None:
+    """Refuse what safe_load would swallow or choke on: aliases, repeated keys, deep nesting."""
+    keys: list[set[str] | None] = []  # per open node: the keys seen so far, None for a list
+    is_key: list[bool] = []  # per open node: whether a mapping's next child is a key
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        mark = event.start_mark
+        place = where if mark is None else f"{where}, line {mark.line + 1}"
+        if isinstance(event, yaml.AliasEvent):
+            raise DatasetError(place, "aliases (`*name`) are not allowed")
+        if isinstance(event, yaml.CollectionEndEvent):
+            keys.pop()
+            is_key.pop()
+            continue
+        if not isinstance(event, yaml.NodeEvent):
+            continue
+        seen = keys[-1] if keys else None
+        if seen is not None:
+            if is_key[-1] and isinstance(event, yaml.ScalarEvent):
+                if event.value in seen:
+                    raise DatasetError(place, f"`{event.value[:40]}` is given twice")
+                seen.add(event.value)
+            is_key[-1] = not is_key[-1]
+        if isinstance(event, yaml.CollectionStartEvent):
+            keys.append(set() if isinstance(event, yaml.MappingStartEvent) else None)
+            is_key.append(True)
+            if len(keys) > MAXIMUM_DEPTH:
+                raise DatasetError(place, f"nested deeper than {MAXIMUM_DEPTH} levels")

@@ -1,0 +1,202 @@
+"""A pinhole camera with OpenCV's distortion: points to pixels, pixels and depths to points, and how sure they are.
+
+A camera's own axes are x right, y down, z forward; `depth` is along z, as depth cameras give it, not along the ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.errors import OptionError
+from kinecast.geometry.transforms import apply, inverse
+
+__all__ = ["Intrinsics", "PinholeCamera"]
+
+NEAREST = 1e-3
+"""Points nearer to the camera's plane [m], or behind it, have no pixel."""
+STEPS = 20
+SETTLED = 1e-9
+"""Of undistorted coordinates: a thousandth of a thousandth of a pixel."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """How a camera maps directions to pixels; pixel (0, 0) is the middle of the upper left one, as in OpenCV.
+
+    Attributes:
+        width, height: of the image [px].
+        fx, fy: focal lengths [px].
+        cx, cy: principal point [px].
+        distortion: none, or OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]].
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise OptionError(f"an image of {self.width} x {self.height} pixels is none")
+        if not (0 < self.fx < np.inf and 0 < self.fy < np.inf):
+            raise OptionError(f"focal lengths {self.fx:g}, {self.fy:g} px must be above 0")
+        if len(self.distortion) not in (0, 4, 5, 8):
+            raise OptionError(f"{len(self.distortion)} distortion coefficients: OpenCV's 4, 5 or 8, or none, are taken")
+        if not np.isfinite((self.cx, self.cy, *self.distortion)).all():
+            raise OptionError("principal point and distortion must be finite")
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        """OpenCV's camera matrix."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def pixels(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
+        """(…, 2) pixels of directions x/z, y/z (…, 2)."""
+        return self._distorted(directions) * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def directions(self, pixels: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
+        """(…, 2) directions x/z, y/z that are seen at pixels (…, 2): Newton's method on `pixels`.
+
+        NaN where a pixel is NaN, or where no direction leads to it.
+        """
+        seen = (np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
+        if not any(self.distortion):
+            return seen
+        with np.errstate(all="ignore"):  # what diverges is NaN in the end
+            found = seen.copy()
+            for _ in range(STEPS):
+                (a, b), (c, d) = np.moveaxis(self._slope(found), (-2, -1), (0, 1))
+                ex, ey = np.moveaxis(seen - self._distorted(found), -1, 0)
+                step = np.stack([d * ex - b * ey, a * ey - c * ex], axis=-1) / (a * d - b * c)[..., None]
+                found = found + step
+                if not (np.abs(step) > SETTLED).any():
+                    break
+            found[~(np.abs(self._distorted(found) - seen) < 1e3 * SETTLED).all(axis=-1)] = np.nan
+        return found
+
+    def pixel_slope(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
+        """(…, 2, 2) ∂pixel/∂direction."""
+        return self._slope(directions) * np.array([[self.fx], [self.fy]])
+
+    @cached_property
+    def _coefficients(self) -> tuple[float, ...]:
+        return (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+
+    def _distorted(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
+        if not any(self.distortion):
+            return directions
+        _, _, p1, p2, *_ = self._coefficients
+        x, y = directions[..., 0], directions[..., 1]
+        r2 = x * x + y * y
+        radial, _ = self._radial(r2)
+        return np.stack(
+            [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
+            axis=-1,
+        )
+
+    def _slope(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
+        _, _, p1, p2, *_ = self._coefficients
+        x, y = directions[..., 0], directions[..., 1]
+        radial, slope = self._radial(x * x + y * y)
+        across = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        along_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        along_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        return np.stack([np.stack([along_x, across], axis=-1), np.stack([across, along_y], axis=-1)], axis=-2)
+
+    def _radial(self, r2: Float[np.ndarray, "*b"]) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
+        """(1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), and its derivative by r²."""
+        k1, k2, _, _, k3, k4, k5, k6 = self._coefficients
+        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        rise = k1 + r2 * (2 * k2 + 3 * r2 * k3)
+        fall = k4 + r2 * (2 * k5 + 3 * r2 * k6)
+        return above / below, (rise * below - above * fall) / (below * below)
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A camera at its place in the world.
+
+    Attributes:
+        name: as sources call it.
+        intrinsics: see Intrinsics.
+        T_world_camera: (4, 4) p_world = T_world_camera · p_camera [m].
+    """
+
+    name: str
+    intrinsics: Intrinsics
+    T_world_camera: Float[np.ndarray, "4 4"]
+
+    @cached_property
+    def T_camera_world(self) -> Float[np.ndarray, "4 4"]:  # noqa: N802 - as in conventions.md
+        """(4, 4) p_camera = T_camera_world · p_world."""
+        return inverse(self.T_world_camera)
+
+    def project(self, points: Float[np.ndarray, "*b 3"]) -> tuple[Float[np.ndarray, "*b 2"], Float[np.ndarray, "*b"]]:
+        """Where points appear.
+
+        Args:
+            points: (…, 3) in the world [m].
+
+        Returns:
+            (…, 2) pixels, NaN behind the camera, and (…) depths [m]; pixels outside the image are given too.
+        """
+        local = apply(self.T_camera_world, points)
+        depth = local[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            pixels = self.intrinsics.pixels(local[..., :2] / depth[..., None])
+        return np.where((depth > NEAREST)[..., None], pixels, np.nan), depth
+
+    def back_project(
+        self, pixels: Float[np.ndarray, "*b 2"], depth: Float[np.ndarray, "*b"]
+    ) -> Float[np.ndarray, "*b 3"]:
+        """(…, 3) points in the world [m] seen at pixels (…, 2) at depths (…) [m]."""
+        directions = self.intrinsics.directions(pixels)
+        local = np.concatenate([directions, np.ones((*directions.shape[:-1], 1))], axis=-1) * depth[..., None]
+        return apply(self.T_world_camera, local)
+
+    def rays(self, pixels: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 3"]:
+        """(…, 3) unit vectors in the world from the camera (`T_world_camera[:3, 3]`) towards what is at pixels."""
+        directions = self.intrinsics.directions(pixels)
+        local = np.concatenate([directions, np.ones((*directions.shape[:-1], 1))], axis=-1)
+        ahead = local @ self.T_world_camera[:3, :3].T
+        return ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
+
+    def jacobian(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3 3"]:
+        """(…, 3, 3) ∂(u, v, depth)/∂point [px/m, px/m, 1] at points (…, 3) in the world in front of the camera."""
+        x, y, z = np.moveaxis(apply(self.T_camera_world, points), -1, 0)
+        rows = np.zeros((*z.shape, 3, 3))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            rows[..., 0, 0] = rows[..., 1, 1] = 1 / z
+            rows[..., 0, 2], rows[..., 1, 2] = -x / z**2, -y / z**2
+            rows[..., 2, 2] = 1.0
+            rows[..., :2, :] = self.intrinsics.pixel_slope(np.stack([x / z, y / z], axis=-1)) @ rows[..., :2, :]
+        return rows @ self.T_camera_world[:3, :3]
+
+    def covariance(
+        self,
+        points: Float[np.ndarray, "*b 3"],
+        pixel_std: Float[np.ndarray, "*b"],
+        depth_std: Float[np.ndarray, "*b"],
+    ) -> Float[np.ndarray, "*b 3 3"]:
+        """(…, 3, 3) covariance J⁻¹ diag(σ_px², σ_px², σ_depth²) J⁻ᵀ [m²] of back-projected points in the world.
+
+        Args:
+            points: (…, 3) what `back_project` gave [m].
+            pixel_std: (…) standard deviation of both pixel coordinates [px].
+            depth_std: (…) standard deviation of the depth [m].
+
+        Returns:
+            NaN where a point is NaN or behind the camera.
+        """
+        ahead = apply(self.T_camera_world, points)[..., 2] > NEAREST
+        J = np.where(ahead[..., None, None], self.jacobian(points), np.eye(3))
+        spread = np.linalg.inv(J) * np.stack([pixel_std, pixel_std, depth_std], axis=-1)[..., None, :]
+        return np.where(ahead[..., None, None], spread @ np.swapaxes(spread, -1, -2), np.nan)
