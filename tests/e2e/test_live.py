@@ -196,21 +196,26 @@ def test_a_recording_is_played_and_ends(
 
 def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> None:
     node = shutil.which("node")
-    live = start("--source", "ws://:0", "--source", "udp://:0", "--sink", "ws://:0", "--sink", "jsonl:live.jsonl")
+    sources = ("--source", "ws://:0", "--source", "udp://:0", "--source", "xsens://:0?person=0")
+    live = start(*sources, "--sink", "ws://:0", "--sink", "jsonl:live.jsonl")
     examples = ROOT / "examples" / "live"
     arguments = [sys.executable, "-W", "error", str(examples / "client.py"), live.sources[0], live.sinks[0]]
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=LONG, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("right wrist in half a second") == 90
+    senders = [(sys.executable, examples / "mvn.py", live.sources[2])]
     if node is not None:
-        port = live.sources[1].rpartition(":")[2]
-        done = subprocess.run(
-            [node, examples / "client.mjs", port], capture_output=True, text=True, timeout=LONG, check=False
-        )
+        senders.append((node, examples / "client.mjs", live.sources[1]))
+    for program, script, source in senders:
+        command = [program, script, source.rpartition(":")[2]]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LONG, check=False)
         assert done.returncode == 0, done.stderr
     live.end()
-    sources = [json.loads(line)["source"] for line in (tmp_path / "live.jsonl").read_text().splitlines()]
-    assert set(sources) == set(live.sources[: 1 if node is None else 2])
+    lines = [json.loads(line) for line in (tmp_path / "live.jsonl").read_text().splitlines()]
+    assert {line["source"] for line in lines} == {live.sources[0], *(source for _, _, source in senders)}
+    of_suit = [line for line in lines if line["source"] == live.sources[2]]
+    assert {line["person"] for line in of_suit} == {"0"}
+    np.testing.assert_allclose(of_suit[-1]["observed"][1], [0, 0.25, 1.1], atol=1e-4)  # the left elbow
     if node is None:
         pytest.skip("no node: the client in JavaScript was not run")
 
@@ -226,6 +231,11 @@ def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> No
         ),
         (("--source", "ws://:99999", "--sink", "ws://:0"), "ws://:99999: Port out of range"),
         (("--source", "udp://127.0.0.1", "--sink", "ws://:0"), "expected udp://HOST:PORT"),
+        (("--source", "xsens://:99999", "--sink", "ws://:0"), "xsens://:99999: Port out of range"),
+        (("--source", "xsens://?person=anna", "--sink", "ws://:0"), "person 'anna' is no character's number, 0..255"),
+        (("--source", "xsens://?up=x", "--sink", "ws://:0"), "up 'x', allowed are z, y"),
+        (("--source", "xsens://?stamps=now", "--sink", "ws://:0"), "stamps 'now', allowed are code, arrival"),
+        (("--source", "xsens://?name=a", "--sink", "ws://:0"), "name unknown; allowed are person, up, stamps"),
         (("--source", "nowhere.csv", "--sink", "ws://:0"), "nowhere.csv: no such file or folder"),
         (("--source", "recording:{table}?speed=fast", "--sink", "ws://:0"), "speed 'fast' is no number"),
         (("--source", "recording:{table}?speed=0", "--sink", "ws://:0"), "speed 0 is outside 0.01..1000"),

@@ -15,11 +15,14 @@ from kinecast.live.websocket import WebSocketSink
 from kinecast.perception.mailbox import Mailbox
 from kinecast.perception.network import Address, Network, UdpSource, WebSocketSource
 from kinecast.perception.recorded import RecordedSource
+from kinecast.perception.xsens import DEFAULT_PORT, XsensAdmission, XsensOptions
 from kinecast.types import SkeletonFrame
 
 __all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_source"]
 
-SOURCE_FORMS = "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT or udp://HOST:PORT"
+SOURCE_FORMS = (
+    "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT or xsens://HOST:PORT?person=0"
+)
 SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH or jsonl:PATH"
 _FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
 
@@ -30,7 +33,7 @@ class Description:
 
     Attributes:
         text: as written.
-        kind: "recording", "ws", "udp", "mcap" or "jsonl".
+        kind: "recording", "ws", "udp", "xsens", "mcap" or "jsonl".
         place: a path, or the address.
         settings: what stands behind the question mark.
     """
@@ -48,7 +51,10 @@ def read_source(text: str) -> Description:
         OptionError: it is none.
     """
     if "://" in text:
-        return _address(text, ("ws", "udp"), (), f"--source {text}: expected {SOURCE_FORMS}")
+        settings = ("person", "up", "stamps") if text.startswith("xsens:") else ()
+        source = _address(text, ("ws", "udp", "xsens"), settings, f"--source {text}: expected {SOURCE_FORMS}")
+        XsensOptions.parse(source.settings, text)
+        return source
     if not text.startswith("recording:"):
         return Description(text, "recording", Path(text), {})
     path, _, query = text.removeprefix("recording:").partition("?")
@@ -97,9 +103,15 @@ def open_sources(
             speed, repeat = (_number(each, name) for name in ("speed", "repeat"))
             frames = play(each.place)
             opened.append(RecordedSource(each.text, mailbox.feed(each.text), frames, speed, int(repeat)))
+            continue
+        feed = mailbox.feed(each.text)
+        if each.kind == "ws":
+            opened.append(WebSocketSource(each.place, feed, network))
+        elif each.kind == "xsens":
+            admission = XsensAdmission(feed, XsensOptions.parse(each.settings, each.text))
+            opened.append(UdpSource(each.place, feed, network, admission))
         else:
-            kind = WebSocketSource if each.kind == "ws" else UdpSource
-            opened.append(kind(each.place, mailbox.feed(each.text), network))
+            opened.append(UdpSource(each.place, feed, network))
 
 
 def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink]) -> None:
@@ -125,7 +137,7 @@ def _address(text: str, schemes: tuple[str, ...], settings: tuple[str, ...], wro
     bare, _, query = text.partition("?")
     if bare.partition("://")[0] not in schemes:
         raise OptionError(wrong)
-    address = Address.parse(bare)
+    address = Address.parse(bare, DEFAULT_PORT if bare.startswith("xsens:") else None)
     found = _settings(text, query, settings)
     if found.get("format", "json") not in ("json", "msgpack"):
         raise OptionError(f"{text}: format {found['format']}, allowed are json, msgpack")

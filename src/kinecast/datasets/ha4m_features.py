@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import HA4M_ARMS_14, HA4M_UPPER_23, Skeleton
-from kinecast.datasets.axes import from_camera
 from kinecast.datasets.compressed import WHOLE_LIMIT, base_name, head, read_bytes
 from kinecast.datasets.ha4m import RATE, TASK, label_name, subject_of
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
+from kinecast.geometry.axes import from_camera
 
 __all__ = ["load", "matches"]
 

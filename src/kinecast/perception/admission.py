@@ -45,12 +45,18 @@ class Admission:
             arrived: when [s], on `time.monotonic`.
         """
         try:
-            frame = decode(content)
-            clock = self._clock(sender, arrived)
-            self._claim(frame, sender, arrived)
+            self.admit(decode(content), sender, arrived)
         except MessageError as problem:
             self._feed.refuse(str(problem))
-            return
+
+    def admit(self, frame: SkeletonFrame, sender: Hashable, arrived: float) -> None:
+        """A frame that was read already; see `take`.
+
+        Raises:
+            MessageError: too many send, or its person is another sender's.
+        """
+        clock = self._clock(sender, arrived)
+        self._claim(frame, sender, arrived)
         jumps = clock.jumps
         acquired = clock.acquired(frame.stamp, arrived)
         self._feed.clock_jumps += clock.jumps - jumps

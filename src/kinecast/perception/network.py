@@ -58,7 +58,7 @@ class Address:
     """Where to listen.
 
     Attributes:
-        scheme: "ws" or "udp".
+        scheme: "ws", "udp" or "xsens".
         host: a name or address of this machine.
         port: 0 is any that is free.
     """
@@ -68,15 +68,19 @@ class Address:
     port: int
 
     @classmethod
-    def parse(cls, text: str) -> Address:
-        """From `ws://HOST:PORT` or `udp://HOST:PORT`; without a host it is the loopback.
+    def parse(cls, text: str, default: int | None = None) -> Address:
+        """From `SCHEME://HOST:PORT`; without a host it is the loopback.
+
+        Args:
+            text: the address.
+            default: the port where none is given; None where it must be.
 
         Raises:
             OptionError: it is no such address.
         """
         try:
             parts = urlsplit(text)
-            port = parts.port
+            port = default if parts.port is None else parts.port
         except ValueError as error:
             raise OptionError(f"{text}: {error}") from None
         if port is None or parts.path not in ("", "/") or parts.username is not None or parts.fragment:
@@ -164,12 +168,13 @@ class _Listener:
     Args:
         feed: where frames go.
         network: that it runs in.
+        admission: takes what comes.
     """
 
-    def __init__(self, feed: Feed, network: Network) -> None:
+    def __init__(self, feed: Feed, network: Network, admission: Admission) -> None:
         self._feed = feed
         self._network = network
-        self._admission = Admission(feed)
+        self._admission = admission
 
     def start(self) -> None:
         """Nothing: it listens from the beginning, and the mailbox keeps the newest."""
@@ -188,7 +193,7 @@ class WebSocketSource(_Listener):
     """
 
     def __init__(self, address: Address, feed: Feed, network: Network) -> None:
-        super().__init__(feed, network)
+        super().__init__(feed, network, Admission(feed))
         self._server = opened(address, lambda: network.run(listen(address, self._receive, LARGEST_MESSAGE)))
         self.address = feed.name = str(Address(address.scheme, address.host, port_of(self._server)))
 
@@ -214,21 +219,23 @@ class WebSocketSource(_Listener):
 
 
 class UdpSource(_Listener, asyncio.DatagramProtocol):
-    """A UDP port that skeletons are sent to, one a datagram.
+    """A UDP port that skeletons are sent to.
 
     Args:
         address: where it listens, at once.
         feed: where frames go.
         network: that it runs in.
+        admission: takes the datagrams; None for one skeleton in each, as a message.
 
     Raises:
         OptionError: nothing can listen there.
     """
 
-    def __init__(self, address: Address, feed: Feed, network: Network) -> None:
-        super().__init__(feed, network)
+    def __init__(self, address: Address, feed: Feed, network: Network, admission: Admission | None = None) -> None:
+        super().__init__(feed, network, admission or Admission(feed))
         self._transport = opened(address, lambda: network.run(self._bind(address)))
-        self.address = feed.name = str(Address("udp", address.host, self._transport.get_extra_info("sockname")[1]))
+        port = self._transport.get_extra_info("sockname")[1]
+        self.address = feed.name = str(Address(address.scheme, address.host, port))
 
     def close(self) -> None:
         """Stops listening."""
