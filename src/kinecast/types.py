@@ -61,6 +61,7 @@ class SkeletonFrame:
         person: the tracker's id of the person.
         frame_id: name of the coordinate frame the positions are in.
         std: (J,) standard deviation of each position [m], or None where the tracker gives none.
+        covariance: (J, 3, 3) covariance of each position [m²], or None where nobody knows more than `std`.
     """
 
     stamp: float
@@ -69,6 +70,7 @@ class SkeletonFrame:
     person: str = "0"
     frame_id: str = "world"
     std: Float[np.ndarray, " J"] | None = None
+    covariance: Float[np.ndarray, "J 3 3"] | None = None
 
     @property
     def valid(self) -> Bool[np.ndarray, " J"]:

@@ -1,0 +1,1 @@
+"""Several cameras into one skeleton for each person."""

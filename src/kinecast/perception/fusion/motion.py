@@ -1,0 +1,129 @@
+"""How joints move from one image to the next: position, velocity and an acceleration that fades (Singer 1970)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+__all__ = ["JointStates", "back", "disturbance", "transition"]
+
+FADE = 0.10
+"""Time in which an acceleration fades [s], from tuning: docs/decisions/0022."""
+START_SPEED, START_ACCELERATION = 0.7, 3.0
+"""Standard deviation, along each axis, of a joint not seen before [m/s], [m/s²]: a person walks at 1.2 m/s."""
+UNSEEN, SLOWING = 0.1, 0.3
+"""A joint that nobody has seen for so long [s] loses its speed in so long [s]."""
+
+
+def transition(dt: float) -> Float[np.ndarray, "3 3"]:
+    """(3, 3) of position, velocity and acceleration over dt [s]: ȧ = −a/τ."""
+    a, e = 1 / FADE, np.exp(-dt / FADE)
+    return np.array([[1.0, dt, (a * dt - 1 + e) / a**2], [0.0, 1.0, (1 - e) / a], [0.0, 0.0, e]])
+
+
+def disturbance(dt: float) -> Float[np.ndarray, "3 3"]:
+    """(3, 3) covariance that comes in over dt [s], for an acceleration of standard deviation 1 m/s²."""
+    a, T = 1 / FADE, dt
+    if a * T < 0.02:  # the closed form loses its digits
+        q = [[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]]
+        return 2 * a * np.array(q)
+    x, e, ee = a * T, np.exp(-a * T), np.exp(-2 * a * T)
+    q11 = (1 - ee + 2 * x + 2 * x**3 / 3 - 2 * x**2 - 4 * x * e) / (2 * a**5)
+    q12 = (ee + 1 - 2 * e + 2 * x * e - 2 * x + x**2) / (2 * a**4)
+    q13 = (1 - ee - 2 * x * e) / (2 * a**3)
+    q22 = (4 * e - 3 - ee + 2 * x) / (2 * a**3)
+    q23 = (ee + 1 - 2 * e) / (2 * a**2)
+    q33 = (1 - ee) / (2 * a)
+    return 2 * a * np.array([[q11, q12, q13], [q12, q22, q23], [q13, q23, q33]])
+
+
+def back(dt: float) -> Float[np.ndarray, " 3"]:
+    """(3,) weights of position, velocity and acceleration now in the position dt ago [s]."""
+    return np.array([1.0, -dt, dt * dt / 2])
+
+
+class JointStates:
+    """A Kalman filter for each joint of one person.
+
+    Args:
+        accelerations: (J,) standard deviation of each joint's acceleration, along each axis [m/s²].
+
+    Attributes:
+        mean: (J, 3, 3) position [m], velocity, acceleration of each joint; NaN where it was never seen.
+        covariance: (J, 9, 9) of the same nine numbers.
+        standing: (J, 3, 3) covariance of the part of a position's error that stays from image to image [m²].
+        seen_at: (J,) when the joint was last seen [s]; -inf where never.
+        stamp: what instant this is of [s].
+    """
+
+    def __init__(self, accelerations: Float[np.ndarray, " J"], stamp: float) -> None:
+        joints = len(accelerations)
+        self.mean = np.full((joints, 3, 3), np.nan)
+        self.covariance = np.tile(np.eye(9), (joints, 1, 1))
+        self.standing = np.zeros((joints, 3, 3))
+        self.seen_at = np.full(joints, -np.inf)
+        self.stamp = stamp
+        self._variances = accelerations**2
+
+    @property
+    def known(self) -> Bool[np.ndarray, " J"]:
+        """(J,) whether there is anything to go on from."""
+        return self.seen_at > -np.inf
+
+    def forget(self, joints: Bool[np.ndarray, " J"]) -> None:
+        """As if these had never been seen."""
+        self.mean[joints], self.covariance[joints], self.seen_at[joints] = np.nan, np.eye(9), -np.inf
+        self.standing[joints] = 0.0
+
+    def advance(self, stamp: float) -> None:
+        """Goes on to a later instant [s]; who is not seen slows down: an unseen hand is not thrown away."""
+        dt = stamp - self.stamp
+        if dt <= 0:
+            return
+        F, Q = np.kron(transition(dt), np.eye(3)), np.kron(disturbance(dt), np.eye(3))
+        unseen = stamp - self.seen_at > UNSEEN
+        self.mean = np.einsum("ab,jbx->jax", F[::3, ::3], self.mean)
+        self.mean[unseen, 1:] *= np.exp(-dt / SLOWING)
+        self.covariance = F @ self.covariance @ F.T + self._variances[:, None, None] * Q
+        self.stamp = stamp
+
+    def at(self, stamp: float) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
+        """(J, 3) positions at an earlier instant [s], and (J, 3, 3) their covariance [m²]."""
+        b = back(self.stamp - stamp)
+        covariance = self.covariance.reshape(-1, 3, 3, 3, 3)
+        return np.einsum("a,jax->jx", b, self.mean), self.standing + np.einsum("a,jaxby,b->jxy", b, covariance, b)
+
+    def correct(
+        self,
+        stamps: Float[np.ndarray, " V"],
+        information: Float[np.ndarray, "V J 3 3"],
+        surprise: Float[np.ndarray, "V J 3"],
+    ) -> None:
+        """One weighted least squares over what is known of each joint and all that several images say of it.
+
+        Args:
+            stamps: (V,) of the images, now or earlier [s].
+            information: (V, J, 3, 3) AᵀWA about where the joint was then; zero where nothing is said.
+            surprise: (V, J, 3) AᵀW(b − A p) with p as `at` gives it.
+        """
+        told = information.any(axis=(0, 2, 3)) & self.known
+        if not told.any():
+            return
+        b = np.stack([back(self.stamp - stamp) for stamp in stamps])
+        more = np.einsum("va,vb,vjxy->jaxby", b, b, information[:, told]).reshape(-1, 9, 9)
+        covariance = np.linalg.inv(np.linalg.inv(self.covariance[told]) + more)
+        step = covariance @ np.einsum("va,vjx->jax", b, surprise[:, told]).reshape(-1, 9, 1)
+        self.mean[told] += step.reshape(-1, 3, 3)
+        self.covariance[told] = (covariance + np.swapaxes(covariance, 1, 2)) / 2
+
+    def start(
+        self,
+        joints: Bool[np.ndarray, " J"],
+        positions: Float[np.ndarray, "J 3"],
+        covariance: Float[np.ndarray, "J 3 3"],
+    ) -> None:
+        """Begins anew with these joints, where a first look places them (J, 3), with its covariance (J, 3, 3)."""
+        self.mean[joints] = 0.0
+        self.mean[joints, 0] = positions[joints]
+        self.covariance[joints] = np.diag(np.repeat([0.0, START_SPEED**2, START_ACCELERATION**2], 3))
+        self.covariance[joints, :3, :3] = covariance[joints]
