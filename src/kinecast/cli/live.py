@@ -50,7 +50,8 @@ def live(
     Args:
         sources: a recording's path, recording:PATH?speed=2&repeat=1 to play it faster or again, ws://HOST:PORT or
             udp://HOST:PORT to listen for skeletons (docs/live.md), xsens://HOST:9763?person=0 for Xsens MVN
-            (docs/mocap.md); without a HOST only this machine is heard.
+            (docs/mocap.md); without a HOST only this machine is heard. realsense:SERIAL?model=FILE is a camera
+            (docs/cameras.md).
         sinks: ws://HOST:PORT to send predictions to all who connect, mcap:FILE for Foxglove, jsonl:FILE.
         model: a model file.
         scene: obstacles and goals, a YAML file.

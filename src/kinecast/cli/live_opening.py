@@ -21,8 +21,10 @@ from kinecast.types import SkeletonFrame
 __all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_source"]
 
 SOURCE_FORMS = (
-    "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT or xsens://HOST:PORT?person=0"
+    "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
+    "xsens://HOST:PORT?person=0 or realsense:SERIAL?model=FILE"
 )
+REALSENSE_SETTINGS = ("model", "detector", "size", "rate", "tilt", "height")
 SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH or jsonl:PATH"
 _FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
 
@@ -33,14 +35,14 @@ class Description:
 
     Attributes:
         text: as written.
-        kind: "recording", "ws", "udp", "xsens", "mcap" or "jsonl".
-        place: a path, or the address.
+        kind: "recording", "ws", "udp", "xsens", "realsense", "mcap" or "jsonl".
+        place: a path, the address, or a camera's serial number.
         settings: what stands behind the question mark.
     """
 
     text: str
     kind: str
-    place: Path | Address
+    place: Path | Address | str
     settings: dict[str, str]
 
 
@@ -55,6 +57,9 @@ def read_source(text: str) -> Description:
         source = _address(text, ("ws", "udp", "xsens"), settings, f"--source {text}: expected {SOURCE_FORMS}")
         XsensOptions.parse(source.settings, text)
         return source
+    if text.startswith("realsense:"):
+        place, _, query = text.removeprefix("realsense:").partition("?")
+        return Description(text, "realsense", place, _settings(text, query, REALSENSE_SETTINGS))
     if not text.startswith("recording:"):
         return Description(text, "recording", Path(text), {})
     path, _, query = text.removeprefix("recording:").partition("?")
@@ -96,22 +101,35 @@ def open_sources(
         opened: those opened are appended, also when one fails.
 
     Raises:
-        OptionError, DatasetError: one cannot be opened.
+        OptionError, DatasetError, ModelError: one cannot be opened.
     """
     for each in sources:
-        if isinstance(each.place, Path):
-            speed, repeat = (_number(each, name) for name in ("speed", "repeat"))
-            frames = play(each.place)
-            opened.append(RecordedSource(each.text, mailbox.feed(each.text), frames, speed, int(repeat)))
-            continue
-        feed = mailbox.feed(each.text)
-        if each.kind == "ws":
-            opened.append(WebSocketSource(each.place, feed, network))
-        elif each.kind == "xsens":
-            admission = XsensAdmission(feed, XsensOptions.parse(each.settings, each.text))
-            opened.append(UdpSource(each.place, feed, network, admission))
-        else:
-            opened.append(UdpSource(each.place, feed, network))
+        opened.append(_source(each, play, mailbox, network))
+
+
+def _source(
+    source: Description, play: Callable[[Path], Sequence[SkeletonFrame]], mailbox: Mailbox, network: Network
+) -> Source:
+    if isinstance(source.place, Path):
+        speed, repeat = (_number(source, name) for name in ("speed", "repeat"))
+        frames = play(source.place)
+        return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, int(repeat))
+    if isinstance(source.place, str):
+        return _realsense(source, source.place, mailbox)
+    feed = mailbox.feed(source.text)
+    if source.kind == "ws":
+        return WebSocketSource(source.place, feed, network)
+    mvn = source.kind == "xsens"
+    admission = XsensAdmission(feed, XsensOptions.parse(source.settings, source.text)) if mvn else None
+    return UdpSource(source.place, feed, network, admission)
+
+
+def _realsense(source: Description, place: str, mailbox: Mailbox) -> Source:
+    from kinecast.perception.realsense import RealSenseOptions, RealSenseSource  # here, since cameras are an extra
+
+    options = RealSenseOptions.parse(source.settings, source.text)
+    name = f"realsense:{place}"
+    return RealSenseSource(name, mailbox.feed(name), place, options)
 
 
 def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink]) -> None:

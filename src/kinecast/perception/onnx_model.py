@@ -1,0 +1,103 @@
+"""Networks in ONNX files, run by onnxruntime on two threads of the CPU. A file need not be trusted to be one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from kinecast.errors import MissingExtraError, ModelError
+
+try:
+    import onnxruntime
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("cameras", "camera") from error
+
+__all__ = ["ImageModel"]
+
+LARGEST_FILE = 1 << 30
+"""Bytes; the largest RTMPose takes 200 MB."""
+LARGEST_SIDE = 2048
+"""Of the image a network takes [px]."""
+LARGEST_OUTPUT = 1 << 24
+"""Numbers in one output; a YOLOX of 80 classes at 640 px gives 700 000."""
+THREADS = 2
+
+
+class ImageModel:
+    """A network that takes one image: float32 (1, 3, height, width).
+
+    Nothing but the file itself is read: a network that keeps its weights in other files is refused by onnxruntime.
+
+    Args:
+        path: the ONNX file.
+
+    Attributes:
+        path: as given.
+        width, height: of the image it takes [px].
+        outputs: names.
+        sample: what it gives for an image of zeros.
+
+    Raises:
+        ModelError: it cannot be read, is none, takes something else, or fails.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._session = _session(path)
+        inputs = self._session.get_inputs()
+        if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
+            found = ", ".join(f"{each.name} {each.type} {each.shape}" for each in inputs)
+            raise ModelError(
+                f"{path}: takes {found[:200] or 'nothing'}; expected one float image, 1 x 3 x height x width"
+            )
+        self._input = inputs[0].name
+        batch, channels, height, width = inputs[0].shape
+        if not all(isinstance(side, int) and 16 <= side <= LARGEST_SIDE for side in (height, width)):
+            raise ModelError(
+                f"{path}: takes images of {width} x {height} pixels; both must be fixed, 16..{LARGEST_SIDE}"
+            )
+        if channels != 3 or (isinstance(batch, int) and batch != 1):
+            raise ModelError(f"{path}: takes {inputs[0].shape}, expected one image of 3 channels")
+        self.height, self.width = height, width
+        self.outputs = tuple(each.name for each in self._session.get_outputs())
+        self.sample = self.run(np.zeros((height, width, 3), dtype=np.float32))
+
+    def run(self, image: Float[np.ndarray, "h w 3"]) -> list[Shaped[np.ndarray, "..."]]:
+        """Every output for an image, float32.
+
+        Raises:
+            ModelError: it fails, or gives more than is believed.
+        """
+        content = np.ascontiguousarray(image.transpose(2, 0, 1))[None]
+        try:
+            outputs = self._session.run(None, {self._input: content})
+        except Exception as error:  # onnxruntime has no common class of its own
+            raise ModelError(f"{self.path}: the network fails ({_line(error)})") from None
+        if not all(isinstance(each, np.ndarray) and each.size <= LARGEST_OUTPUT for each in outputs):
+            raise ModelError(f"{self.path}: gives more than {LARGEST_OUTPUT} numbers, or something else")
+        return outputs
+
+
+def _session(path: Path) -> onnxruntime.InferenceSession:
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ModelError(f"{path}: {path.stat().st_size} bytes, at most {LARGEST_FILE} are read")
+        content = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: {error.strerror}") from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = THREADS, 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # who waits must not starve who predicts
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime has no common class of its own
+        raise ModelError(f"{path}: onnxruntime cannot load it ({_line(error)})") from None
+
+
+def _line(error: Exception) -> str:
+    """Fit for a message, whatever a file says."""
+    text = str(error).replace("[ONNXRuntimeError] : ", "").splitlines()
+    return "".join(letter if letter.isprintable() else "?" for letter in (text[0] if text else "?")[:200])
