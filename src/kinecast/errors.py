@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-__all__ = ["DatasetError", "DownloadError", "KinecastError", "MissingExtraError", "ModelError", "OptionError"]
+__all__ = [
+    "ClusterError",
+    "DatasetError",
+    "DownloadError",
+    "KinecastError",
+    "MissingExtraError",
+    "ModelError",
+    "OptionError",
+]
 
 
 class KinecastError(Exception):
@@ -22,6 +30,10 @@ class DatasetError(KinecastError, ValueError):
         self.where = str(where)
         self.problem = problem
 
+    def __reduce__(self) -> tuple[type[DatasetError], tuple[str, str]]:
+        """As a task on another machine raised it."""
+        return type(self), (self.where, self.problem)
+
 
 class ModelError(KinecastError, ValueError):
     """A model file that cannot be read, is not kinecast's, or does not fit the recording."""
@@ -36,8 +48,17 @@ class MissingExtraError(KinecastError, ImportError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs optional packages: pip install 'kinecast[{extra}]'")
+        self.feature = feature
         self.extra = extra
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        """As a task on another machine raised it."""
+        return type(self), (self.feature, self.extra)
 
 
 class DownloadError(KinecastError, OSError):
     """A download that failed, was incomplete, or whose checksum is wrong."""
+
+
+class ClusterError(KinecastError, OSError):
+    """A cluster that cannot be reached, has no fit workers, or loses them again and again."""

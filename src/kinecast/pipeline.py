@@ -15,6 +15,7 @@ from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.predictor import Predictor
+from kinecast.tasks.workers import Progress, Workers
 from kinecast.types import Prediction, SkeletonFrame
 
 __all__ = [
@@ -32,7 +33,11 @@ FEWEST = 200
 
 
 def training_windows(
-    recordings: Sequence[Recording], options: WindowOptions, scene: Scene | None = None
+    recordings: Sequence[Recording],
+    options: WindowOptions,
+    scene: Scene | None = None,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
 ) -> TrainingWindows:
     """Every window of several recordings, for training: gaps and jumps of what came next repaired with hindsight.
 
@@ -40,12 +45,14 @@ def training_windows(
         recordings: to train on.
         options: which windows; their stride and `whole` do not matter.
         scene: windows that end inside an obstacle are left out.
+        progress: called with (done, total) recordings.
+        workers: that cut the windows; None for this process.
 
     Raises:
         DatasetError: no recording has a single window.
         OptionError: the label occurs in none of them, or every window ends inside an obstacle.
     """
-    parts = list(all_windows(recordings, replace(options, stride=1, whole=False, mend_future=True)))
+    parts = all_windows(recordings, replace(options, stride=1, whole=False, mend_future=True), progress, workers)
     task_of = {recording.name: recording.task for recording in recordings}
     tasks = sorted({task_of[part.name] for part in parts})
     groups = [tasks.index(task_of[part.name]) if len(tasks) > 1 else k for k, part in enumerate(parts)]
@@ -72,12 +79,15 @@ def training_windows(
 
 
 def training_windows_by_action(
-    recordings: Sequence[Recording], options: WindowOptions, scene: Scene | None = None
+    recordings: Sequence[Recording],
+    options: WindowOptions,
+    scene: Scene | None = None,
+    workers: Workers | None = None,
 ) -> dict[str, TrainingWindows]:
     """The windows of each action with enough of them, by name: the frames' label where there are labels, else the task.
 
     Args:
-        recordings, options, scene: as for `training_windows`.
+        recordings, options, scene, workers: as for `training_windows`.
 
     Raises:
         OptionError: fewer than two actions have `FEWEST` windows.
@@ -87,10 +97,11 @@ def training_windows_by_action(
     counts: dict[str, int] = {}
     for action in sorted({label for recording in labelled for label in recording.labels or () if label}):
         own = [recording for recording in labelled if action in (recording.labels or ())]
-        _keep(found, counts, action, own, replace(options, label=action), scene)
+        _keep(found, counts, action, own, replace(options, label=action), scene, workers)
     others = [recording for recording in recordings if recording.labels is None and recording.task]
     for task in sorted({recording.task for recording in others}):
-        _keep(found, counts, task, [recording for recording in others if recording.task == task], options, scene)
+        own = [recording for recording in others if recording.task == task]
+        _keep(found, counts, task, own, options, scene, workers)
     if len(found) < 2:
         known = ", ".join(f"{name} {count}" for name, count in counts.items()) or "no labels and no tasks"
         raise OptionError(f"models per action need two actions with {FEWEST} windows or more; found: {known}")
@@ -104,10 +115,11 @@ def _keep(
     recordings: Sequence[Recording],
     options: WindowOptions,
     scene: Scene | None,
+    workers: Workers | None,
 ) -> None:
     """Adds an action's windows where there are enough."""
     try:
-        windows = training_windows(recordings, options, scene)
+        windows = training_windows(recordings, options, scene, workers=workers)
     except (DatasetError, OptionError):  # none at all, or none outside obstacles
         counts[action] = 0
         return

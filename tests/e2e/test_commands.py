@@ -294,6 +294,28 @@ class TestEvaluate:
         assert 0 < settings["windows"] <= labels.count("Pi")
 
 
+class TestCluster:
+    """`--cluster local:2` beside this process; a killed worker is in tests/unit/tasks."""
+
+    @pytest.mark.usefixtures("no_drawing")
+    def test_scores_are_the_same_to_the_last_bit(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        command = ["evaluate", "--train", tables[0], "--test", tables[1], "--methods", "ridge,kalman_angles", *QUICK]
+        assert kinecast(*command, "--out", tmp_path / "here").code == 0
+        outcome = kinecast(*command, "--out", tmp_path / "there", "--cluster", "local:2")
+        assert (outcome.code, outcome.err) == (0, "kinecast: cluster local:2: 2 workers\n")
+        assert scores(tmp_path / "there") == scores(tmp_path / "here")
+
+    def test_a_place_that_is_none_is_refused(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        outcome = kinecast("train", tables[0], "--out", tmp_path / "a.npz", "--cluster", "local:none")
+        assert outcome.code == 2
+        assert "--cluster local:none: expected local, local:N" in outcome.err
+        assert not list(tmp_path.iterdir())
+
+
 class TestPredict:
     def test_every_frame_gets_its_rows(
         self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path

@@ -19,6 +19,7 @@ from kinecast.prediction.forecast import Method
 from kinecast.prediction.horizon.ablation import ablations
 from kinecast.prediction.horizon.method import Horizon
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
+from kinecast.tasks.workers import Workers
 
 __all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known", "with_ablations"]
 
@@ -52,17 +53,23 @@ def method_names(text: str) -> list[str]:
 
 
 def train_methods(
-    names: Sequence[str], recordings: Sequence[Recording], options: WindowOptions, scene: Scene | None, seed: int
+    names: Sequence[str],
+    recordings: Sequence[Recording],
+    options: WindowOptions,
+    scene: Scene | None,
+    seed: int,
+    workers: Workers,
 ) -> Contestants:
     """Methods trained on every window of recordings, as `kinecast train` does.
 
     Raises:
         DatasetError, ModelError, OptionError: too few windows.
     """
-    data = training_windows(recordings, options, scene)
+    with progress_bar("cutting windows") as progress:
+        data = training_windows(recordings, options, scene, progress, workers)
     settings = TrainingOptions(seed=seed)
     with progress_bar("training") as progress:
-        methods = train(names, data, settings, progress)
+        methods = train(names, data, settings, progress, workers)
     return Contestants(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
 
 

@@ -9,8 +9,19 @@ from tyro.conf import arg
 
 from kinecast import __version__
 from kinecast.cli.contestants import method_names, read_models, train_methods, warn_of_known, with_ablations
+from kinecast.cli.crew import crew
 from kinecast.cli.destination import check_folder
-from kinecast.cli.options import Action, Folder, FormatName, Many, MethodNames, SceneFile, Switch, check_seed
+from kinecast.cli.options import (
+    Action,
+    ClusterPlace,
+    Folder,
+    FormatName,
+    Many,
+    MethodNames,
+    SceneFile,
+    Switch,
+    check_seed,
+)
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
 from kinecast.datasets.windows import WindowOptions, all_windows
@@ -51,6 +62,7 @@ def evaluate(
     repeats: int = 25,
     seed: int = 0,
     format: FormatName = None,
+    cluster: ClusterPlace = None,
 ) -> None:
     """Scores methods on test recordings: writes metrics.json, report.html and pictures, prints the table.
 
@@ -71,6 +83,8 @@ def evaluate(
         repeats: how often the NLL is taken again with fresh draws, for its histogram.
         seed: of everything random.
         format: read recordings as this format instead of finding it by content.
+        cluster: spread the work over a Dask cluster that you trust: a scheduler's address, or N processes of this
+            machine. Scores are the same to the last bit; latencies are those of the workers.
     """
     from kinecast.evaluation.run import run_evaluation  # here, since drawing is an extra other commands do without
 
@@ -93,30 +107,33 @@ def evaluate(
         horizon=HORIZON if horizon is None else horizon,
     )
     options = replace(contestants.windows if contestants else options, stride=stride, label=label)
-    tested = read_recordings(test, format, "--test")
-    parts = list(all_windows(tested, options))
-    histories = list(all_windows(tested, every_frame(options)))
-    if contestants is None:
-        recordings = unseen(read_recordings(train, format, "--train"), tested)
-        contestants = train_methods(names, recordings, options, obstacles, seed)
-    else:
-        warn_of_known(contestants, tested)
-    scored = tuple(contestants.methods)
-    if ablate:
-        contestants = replace(contestants, methods=with_ablations(contestants.methods))
-    settings = {
-        "version": __version__,
-        "train": list(contestants.trained_on),
-        "models": {name: str(path) for name, path in zip(scored, model, strict=False)},
-        "rate": options.rate,
-        "window": options.window,
-        "horizon": options.horizon,
-        "stride": stride,
-        "label": label,
-        "scene": None if scene is None else scene.name,
-    }
-    scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=contestants.limits)
-    with progress_bar("scoring") as progress:
-        metrics = run_evaluation(out, contestants.methods, parts, histories, obstacles, scores, settings, progress)
+    with crew(cluster) as workers:
+        tested = read_recordings(test, format, "--test")
+        parts = all_windows(tested, options, workers=workers)
+        histories = all_windows(tested, every_frame(options), workers=workers)
+        if contestants is None:
+            recordings = unseen(read_recordings(train, format, "--train"), tested)
+            contestants = train_methods(names, recordings, options, obstacles, seed, workers)
+        else:
+            warn_of_known(contestants, tested)
+        scored = tuple(contestants.methods)
+        if ablate:
+            contestants = replace(contestants, methods=with_ablations(contestants.methods))
+        settings = {
+            "version": __version__,
+            "train": list(contestants.trained_on),
+            "models": {name: str(path) for name, path in zip(scored, model, strict=False)},
+            "rate": options.rate,
+            "window": options.window,
+            "horizon": options.horizon,
+            "stride": stride,
+            "label": label,
+            "scene": None if scene is None else scene.name,
+        }
+        scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=contestants.limits)
+        with progress_bar("scoring") as progress:
+            metrics = run_evaluation(
+                out, contestants.methods, parts, histories, obstacles, scores, settings, progress, workers
+            )
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")

@@ -13,6 +13,7 @@ from kinecast.prediction.methods import METHODS
 
 __all__ = [
     "Action",
+    "ClusterPlace",
     "File",
     "Folder",
     "FormatName",
@@ -33,6 +34,13 @@ File = Annotated[Path, arg(metavar="FILE")]
 Folder = Annotated[Path, arg(metavar="FOLDER")]
 Switch = FlagCreatePairsOff[bool]
 SceneFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
+ClusterPlace = Annotated[
+    str | None,
+    arg(
+        metavar="ADDRESS|local[:N]",
+        help_behavior_hint="(default: this process)",
+    ),
+]
 Action = Annotated[str | None, arg(metavar="ACTION", help_behavior_hint="(default: all)")]
 FormatName = Annotated[
     str | None,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from kinecast.cli.crew import crew
 from kinecast.cli.destination import check_file
-from kinecast.cli.options import Action, File, FormatName, MethodName, SceneFile, Switch, What, check_seed
+from kinecast.cli.options import Action, ClusterPlace, File, FormatName, MethodName, SceneFile, Switch, What, check_seed
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings
 from kinecast.datasets.windows import WindowOptions
@@ -28,6 +29,7 @@ def train(
     scene: SceneFile = None,
     seed: int = 0,
     format: FormatName = None,
+    cluster: ClusterPlace = None,
 ) -> None:
     """Trains one method on recordings and writes it to a file, whole or not at all.
 
@@ -44,6 +46,8 @@ def train(
         scene: obstacles, a YAML file; windows that end inside one are left out.
         seed: of everything random.
         format: read recordings as this format instead of finding it by content.
+        cluster: spread the work over a Dask cluster that you trust: a scheduler's address, or N processes of this
+            machine. The model is the same to the last bit.
     """
     check_names([method])
     check_seed(seed)
@@ -53,14 +57,16 @@ def train(
     options = WindowOptions(rate=rate, window=window, horizon=horizon, label=label)
     obstacles = None if scene is None else Scene.load(scene)
     recordings = read_recordings(paths, format)
-    data = training_windows(recordings, options, obstacles)
-    actions = training_windows_by_action(recordings, options, obstacles) if per_action else {}
     settings = TrainingOptions(seed=seed)
-    with progress_bar(f"training {method}") as progress:
-        trained = fit([method], data, settings, progress)[method]
-    if actions:
-        with progress_bar("training a model per action") as progress:
-            trained = with_actions(trained, actions, settings, progress)
+    with crew(cluster) as workers:
+        with progress_bar("cutting windows") as progress:
+            data = training_windows(recordings, options, obstacles, progress, workers)
+        actions = training_windows_by_action(recordings, options, obstacles, workers) if per_action else {}
+        with progress_bar(f"training {method}") as progress:
+            trained = fit([method], data, settings, progress, workers)[method]
+        if actions:
+            with progress_bar("training a model per action") as progress:
+                trained = with_actions(trained, actions, settings, progress, workers)
     names = [recording.name for recording in recordings]
     save_method(out, card_of(method, trained, data, settings, label or "", names), trained)
     print(f"{out}: {method}, trained on {len(data)} windows of {len(names)} recording{'s' * (len(names) != 1)}")

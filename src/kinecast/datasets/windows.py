@@ -5,7 +5,7 @@ What is observed is repaired as it would be online, from the window alone. What 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import repair
 from kinecast.datasets.resampling import RATE_RANGE, resample
 from kinecast.errors import DatasetError, OptionError
+from kinecast.tasks.workers import Progress, Serial, Workers
 
 __all__ = ["WindowOptions", "Windows", "all_windows", "moving_part", "windows"]
 
@@ -158,34 +159,46 @@ def windows(recording: Recording, options: WindowOptions, truth: Recording | Non
     return _cut(recording, options, recording if truth is None else truth)
 
 
-def all_windows(recordings: Iterable[Recording], options: WindowOptions) -> Iterator[Windows]:
-    """The windows of many recordings, resampled to `options.rate`, one recording in memory at a time.
+def all_windows(
+    recordings: Iterable[Recording],
+    options: WindowOptions,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
+) -> list[Windows]:
+    """The windows of many recordings, resampled to `options.rate`.
 
     Recordings without a window are passed over.
 
+    Args:
+        recordings: of persons.
+        options: which windows.
+        progress: called with (done, total) recordings.
+        workers: that cut them; None for this process.
+
     Raises:
-        OptionError: after the last recording, the label was in none of them.
-        DatasetError: after the last recording, there was no window at all; or a recording cannot be used.
+        OptionError: the label was in none of them.
+        DatasetError: there was no window at all, or a recording cannot be used.
     """
-    labels: set[str] = set()
-    names = []
-    found = 0
-    for recording in recordings:
-        names.append(recording.name)
-        labels |= set(recording.labels or ())
-        # Smoothing would let the window see ahead.
-        resampled = resample(recording, options.rate, smooth=False)
-        truth = resample(repair(recording)[0], options.rate, smooth=False) if options.mend_future else resampled
-        cut = _cut(resampled, options, truth)
-        if len(cut):
-            found += len(cut)
-            yield cut
+    recordings = list(recordings)
+    workers = workers or Serial()
+    tasks = [workers.submit(_cut_resampled, recording, options) for recording in recordings]
+    found = [cut for cut in workers.results(tasks, progress) if len(cut)]
+    labels = {label for recording in recordings for label in recording.labels or ()}
     if options.label is not None and options.label not in labels:
         raise _unknown_label(options.label, labels)
     if not found:
+        names = [recording.name for recording in recordings]
         needed = options.window + options.horizon
         tracked = "with both arms tracked throughout" if options.whole else "with both arms tracked"
         raise DatasetError(", ".join(names) or "recordings", f"no window of {needed:g} s {tracked}")
+    return found
+
+
+def _cut_resampled(recording: Recording, options: WindowOptions) -> Windows:
+    # Smoothing would let the window see ahead.
+    resampled = resample(recording, options.rate, smooth=False)
+    truth = resample(repair(recording)[0], options.rate, smooth=False) if options.mend_future else resampled
+    return _cut(resampled, options, truth)
 
 
 def moving_part(recording: Recording) -> slice:

@@ -13,11 +13,12 @@ from kinecast.datasets.windows import Windows
 from kinecast.evaluation.animations import animate_prediction
 from kinecast.evaluation.output import all_or_none, write_atomically
 from kinecast.evaluation.pictures import Moment, draw_prediction
-from kinecast.evaluation.protocol import EvaluationOptions, Progress, TestRecording, evaluate
+from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
 from kinecast.evaluation.report import write_report
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import followed, observations
 from kinecast.prediction.forecast import Method
+from kinecast.tasks.workers import Progress, Workers
 
 __all__ = ["run_evaluation"]
 
@@ -31,6 +32,7 @@ def run_evaluation(
     options: EvaluationOptions,
     settings: Mapping[str, Any],
     progress: Progress | None = None,
+    workers: Workers | None = None,
 ) -> dict[str, Any]:
     """Scores methods and writes everything: all files or, after an error, none.
 
@@ -43,7 +45,8 @@ def run_evaluation(
         scene: obstacles; None for none.
         options: see EvaluationOptions.
         settings: what to say about the run, JSON values.
-        progress: called with (done, total) predictions.
+        progress: called with (done, total) tasks.
+        workers: that do them; None for this process.
 
     Returns:
         What metrics.json holds.
@@ -53,7 +56,7 @@ def run_evaluation(
         TestRecording(part.name, observations(part), part.future, part.frames, followed(every[part.name]))
         for part in parts
     ]
-    results, histograms = evaluate(methods, recordings, scene, options, progress)
+    results, histograms = evaluate(methods, recordings, scene, options, progress, workers)
     metrics: dict[str, Any] = {
         "settings": {
             **settings,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kinecast.errors import MissingExtraError
+from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
 
 __all__ = ["descend"]
 
@@ -43,11 +43,8 @@ def descend(
     Raises:
         MissingExtraError: JAX is not installed.
     """
-    try:
-        import jax
-        import jax.numpy as jnp
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
+    jax = jax_in_one_thread()
+    import jax.numpy as jnp
 
     arrays = [jnp.asarray(array, jnp.float32) for array in data]
     parameters = [jnp.asarray(array, jnp.float32) for array in start]

@@ -6,9 +6,10 @@ the constraint stage can act. Any mean model (kinecast.prediction.baselines) fit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,11 +32,30 @@ from kinecast.prediction.motions import draw_motions
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import roll_gaussian
+from kinecast.tasks.workers import Serial, Workers
 
-__all__ = ["PositionGaussian", "PostureGaussian", "posture_coordinates", "residual_covariance"]
+__all__ = [
+    "Examples",
+    "PositionGaussian",
+    "PostureGaussian",
+    "position_examples",
+    "posture_coordinates",
+    "posture_examples",
+    "residual_factor",
+    "residual_moment",
+]
 
 Fit = Callable[[Float[np.ndarray, "W N D"], Float[np.ndarray, "W T D"], Int[np.ndarray, " W"]], MeanModel]
 """Fits a mean model to windows, futures and folds."""
+
+
+class Examples(NamedTuple):
+    """Windows and futures of D coordinates, and the fold of each."""
+
+    observed: Float[np.ndarray, "W N D"]
+    future: Float[np.ndarray, "W T D"]
+    folds: Int[np.ndarray, " W"]
+
 
 FLOOR = 1e-3
 """Least spread of a residual [m or rad]: a millimetre."""
@@ -44,21 +64,30 @@ POSITION_ORDER = np.arange(18).reshape(6, 3)[JOINT_ORDER].ravel()
 """The 18 coordinates of the joints in block order."""
 
 
-def residual_covariance(
-    fit: Fit,
-    windows: Float[np.ndarray, "W N D"],
-    futures: Float[np.ndarray, "W T D"],
-    folds: Int[np.ndarray, " W"],
-) -> Float[np.ndarray, "TD TD"]:
-    """Second moment of the errors on left-out folds, over all steps and coordinates at once."""
-    errors = []
-    for fold in np.unique(folds):
-        outside = folds == fold
-        inside = ~outside if (~outside).any() else outside
-        model = fit(windows[inside], futures[inside], folds[inside])
-        errors.append((futures[outside] - model.mean(windows[outside])).reshape(outside.sum(), -1))
-    stacked = np.concatenate(errors)
-    return stacked.T @ stacked / len(stacked) + FLOOR**2 * np.eye(stacked.shape[1])
+def residual_moment(fit: Fit, examples: Examples, fold: int) -> tuple[Float[np.ndarray, "K K"], int]:
+    """Sum of the outer products of the errors on one left-out fold, and how many there are."""
+    outside = examples.folds == fold
+    inside = ~outside if (~outside).any() else outside
+    model = fit(examples.observed[inside], examples.future[inside], examples.folds[inside])
+    errors = (examples.future[outside] - model.mean(examples.observed[outside])).reshape(outside.sum(), -1)
+    return errors.T @ errors, len(errors)
+
+
+def residual_factor(moments: Sequence[tuple[Float[np.ndarray, "K K"], int]]) -> Float[np.ndarray, "K K"]:
+    """Cholesky factor of the second moment of all folds' errors, over all steps and coordinates at once."""
+    moment = np.sum([moment for moment, _ in moments], axis=0) / sum(count for _, count in moments)
+    return np.linalg.cholesky(moment + FLOOR**2 * np.eye(len(moment)))
+
+
+def fit_all(fit: Fit, examples: Examples) -> MeanModel:
+    """The mean model of all examples."""
+    return fit(examples.observed, examples.future, examples.folds)
+
+
+def _fitting(workers: Workers, fit: Fit, examples: Any, folds: Int[np.ndarray, " W"]) -> tuple[Any, Any]:
+    """What stands for a mean model, and for the factor of its errors' covariance."""
+    moments = [workers.submit(residual_moment, fit, examples, fold) for fold in np.unique(folds).tolist()]
+    return workers.submit(fit_all, fit, examples), workers.submit(residual_factor, moments)
 
 
 def with_noise(cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"]) -> Float[np.ndarray, "K K"]:
@@ -99,19 +128,17 @@ class PositionGaussian:
     limits: JointLimits | None = None
 
     @staticmethod
-    def fit(fit: Fit, windows: TrainingWindows) -> PositionGaussian:
-        """Mean model and residual covariance from training windows."""
-        observed = windows.points.reshape(*windows.points.shape[:2], 18)
-        future = windows.future_points.reshape(*windows.future_points.shape[:2], 18)
-        folds = windows.folds(FOLDS)
-        covariance = residual_covariance(fit, observed, future, folds)
-        return PositionGaussian(
-            observed.shape[1],
-            future.shape[1],
-            windows.dt,
-            fit(observed, future, folds),
-            np.linalg.cholesky(covariance),
-        )
+    def fitting(workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any) -> Any:
+        """Mean model and residual covariance from training windows; stands for the method.
+
+        Args:
+            workers: that fit.
+            fit: how the mean model is fitted.
+            windows: of training.
+            examples: stands for their `position_examples`.
+        """
+        model, cholesky = _fitting(workers, fit, examples, windows.folds(FOLDS))
+        return workers.submit(PositionGaussian, *windows.shape, model, cholesky)
 
     @cached_property
     def _step_cholesky(self) -> Float[np.ndarray, "T 18 18"]:
@@ -180,6 +207,17 @@ def posture_coordinates(
     return coordinates[:, : observed.shape[1]], coordinates[:, observed.shape[1] :]
 
 
+def position_examples(windows: TrainingWindows) -> Examples:
+    """Positions in the torso frame as 18 coordinates [m]."""
+    observed, future = (points.reshape(*points.shape[:2], 18) for points in (windows.points, windows.future_points))
+    return Examples(observed, future, windows.folds(FOLDS))
+
+
+def posture_examples(windows: TrainingWindows) -> Examples:
+    """Smooth posture coordinates."""
+    return Examples(*posture_coordinates(windows.points, windows.future_points), windows.folds(FOLDS))
+
+
 @dataclass(frozen=True)
 class PostureGaussian:
     """A Gaussian over the smooth posture coordinates, free or held inside joint limits and scene.
@@ -200,19 +238,18 @@ class PostureGaussian:
     @staticmethod
     def fit(fit: Fit, windows: TrainingWindows, noise: float, limits: JointLimits | None) -> PostureGaussian:
         """Mean model and residual covariance from training windows."""
-        observed, future = posture_coordinates(windows.points, windows.future_points)
-        folds = windows.folds(FOLDS)
-        covariance = residual_covariance(fit, observed, future, folds)
-        model = fit(observed, future, folds)
-        return PostureGaussian(
-            observed.shape[1],
-            future.shape[1],
-            windows.dt,
-            model,
-            np.linalg.cholesky(covariance),
-            noise,
-            limits,
-        )
+        workers = Serial()
+        examples = workers.submit(posture_examples, windows)
+        [method] = workers.results([PostureGaussian.fitting(workers, fit, windows, examples, noise, limits)])
+        return method
+
+    @staticmethod
+    def fitting(
+        workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any, noise: float, limits: JointLimits | None
+    ) -> Any:
+        """The same by workers; `examples` stands for the windows' `posture_examples`, the result for the method."""
+        model, cholesky = _fitting(workers, fit, examples, windows.folds(FOLDS))
+        return workers.submit(PostureGaussian, *windows.shape, model, cholesky, noise, limits)
 
     @cached_property
     def _step_cholesky(self) -> Float[np.ndarray, "T 18 18"]:

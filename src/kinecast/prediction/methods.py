@@ -4,25 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError, OptionError
-from kinecast.prediction.baselines import constant_velocity, damped_velocity, fit_ridge, kalman, zero_velocity
+from kinecast.prediction.baselines import (
+    MeanModel,
+    constant_velocity,
+    damped_velocity,
+    fit_ridge,
+    kalman,
+    zero_velocity,
+)
 from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
 from kinecast.prediction.forecast import Method
-from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian
+from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian, position_examples, posture_examples
 from kinecast.prediction.horizon.method import Horizon, horizon_from_arrays
-from kinecast.prediction.horizon.training import HorizonOptions, fit_actions, fit_horizon
+from kinecast.prediction.horizon.training import HorizonOptions, fit_actions, fitting_horizon
 from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
+from kinecast.tasks.workers import Progress, Serial, Workers, given
 
 __all__ = [
     "METHODS",
@@ -56,10 +65,10 @@ METHODS: Mapping[str, str] = {
 }
 """Every method and what it does."""
 
+Array = np.ndarray
+
 SHIPPED = ("zero_velocity", "damped_velocity", "gp_constrained", "kinecast")
 """Methods whose models come with kinecast, the best last."""
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,11 @@ class TrainingOptions:
 
 
 def train(
-    names: Sequence[str], windows: TrainingWindows, options: TrainingOptions, progress: Progress | None = None
+    names: Sequence[str],
+    windows: TrainingWindows,
+    options: TrainingOptions,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
 ) -> dict[str, Method]:
     """Trains methods; what two of them share is trained once.
 
@@ -93,7 +106,8 @@ def train(
         names: of methods, keys of METHODS.
         windows: training data.
         options: see TrainingOptions.
-        progress: called with (done, total) series of the Gaussian processes.
+        progress: called with (done, total) tasks.
+        workers: that do them; None for this process. The methods are the same, to the last bit.
 
     Raises:
         OptionError: an unknown name.
@@ -102,36 +116,66 @@ def train(
     check_names(names)
     if len(windows) < 50:
         raise ModelError(f"{len(windows)} training windows; at least 50 are needed")
-    noise = sensor_noise(windows)
-    limits = limits_of(windows, options)
-    trained: dict[str, Method] = {}
-    angles: PostureSeries | None = None
-    mixer: PositionGaussian | None = None
-    for name in names:
+    workers = workers or Serial()
+    fitting = _Fitting(workers, windows, options)
+    return dict(zip(names, workers.results([fitting.method(name) for name in names], progress), strict=True))
+
+
+class _Fitting:
+    """Tasks that fit methods to the same windows; what two methods share is one task."""
+
+    def __init__(self, workers: Workers, windows: TrainingWindows, options: TrainingOptions) -> None:
+        self._workers, self._windows, self._options = workers, windows, options
+        self._noise, self._limits = sensor_noise(windows), limits_of(windows, options)
+        self._data = workers.submit(given, windows)
+
+    @cached_property
+    def _positions(self) -> Any:
+        return self._workers.submit(position_examples, self._data)
+
+    @cached_property
+    def _postures(self) -> Any:
+        return self._workers.submit(posture_examples, self._data)
+
+    @cached_property
+    def _angles(self) -> Any:
+        return PostureSeries.fitting(self._workers, self._windows, self._options, self._noise)
+
+    @cached_property
+    def _mixer(self) -> Any:
+        fit = _fit("mixer", self._windows, self._options)
+        return PositionGaussian.fitting(self._workers, fit, self._windows, self._positions)
+
+    def method(self, name: str) -> Any:
+        """Stands for a trained method."""
+        workers, windows, options = self._workers, self._windows, self._options
         if name == "gp_xyz":
-            trained[name] = PositionSeries.fit(windows, options, progress)
-        elif name in ("gp_angles", "gp_constrained"):
-            angles = angles or PostureSeries.fit(windows, options, noise, progress)
-            trained[name] = angles.with_limits(limits if name == "gp_constrained" else None)
-        elif name in ("mixer", "mixer_constrained"):
-            mixer = mixer or PositionGaussian.fit(_fit("mixer", windows, options), windows)
-            trained[name] = mixer if name == "mixer" else mixer.with_limits(limits, noise)
-        elif name == "kinecast":
+            return PositionSeries.fitting(workers, windows, options)
+        if name == "gp_angles":
+            return self._angles
+        if name == "gp_constrained":
+            return workers.submit(PostureSeries.with_limits, self._angles, self._limits)
+        if name == "mixer":
+            return self._mixer
+        if name == "mixer_constrained":
+            return workers.submit(PositionGaussian.with_limits, self._mixer, self._limits, self._noise)
+        if name == "kinecast":
             own = HorizonOptions(seed=options.seed)
-            trained[name] = fit_horizon(windows, limits, noise, own, progress)
-        else:
-            base, _, space = name.partition("_") if name.endswith(("_angles", "_constrained")) else (name, "", "")
-            fit = _fit(base, windows, options)
-            if space:
-                held = limits if space == "constrained" else None
-                trained[name] = PostureGaussian.fit(fit, windows, noise, held)
-            else:
-                trained[name] = PositionGaussian.fit(fit, windows)
-    return trained
+            return fitting_horizon(workers, windows, self._data, self._limits, self._noise, own)
+        base, _, space = name.partition("_") if name.endswith(("_angles", "_constrained")) else (name, "", "")
+        fit = _fit(base, windows, options)
+        if not space:
+            return PositionGaussian.fitting(workers, fit, windows, self._positions)
+        held = self._limits if space == "constrained" else None
+        return PostureGaussian.fitting(workers, fit, windows, self._postures, self._noise, held)
 
 
 def with_actions(
-    method: Method, windows: Mapping[str, TrainingWindows], options: TrainingOptions, progress: Progress | None = None
+    method: Method,
+    windows: Mapping[str, TrainingWindows],
+    options: TrainingOptions,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
 ) -> Method:
     """The method `kinecast` with a model for each action beside its own.
 
@@ -139,14 +183,15 @@ def with_actions(
         method: trained, of the same rate, window and horizon as the windows.
         windows: of each action.
         options: see TrainingOptions.
-        progress: called with (done, total) fits.
+        progress: called with (done, total) tasks.
+        workers: that do them; None for this process.
 
     Raises:
         OptionError: another method.
     """
     if not isinstance(method, Horizon):
         raise OptionError("models per action go with the method kinecast")
-    actions = fit_actions(windows, HorizonOptions(seed=options.seed), progress)
+    actions = fit_actions(windows, HorizonOptions(seed=options.seed), progress, workers)
     return replace(method, mixture=replace(method.mixture, actions=actions))
 
 
@@ -189,16 +234,27 @@ def check_names(names: Sequence[str]) -> None:
 
 def _fit(base: str, windows: TrainingWindows, options: TrainingOptions) -> Fit:
     """How the mean model of a baseline is fitted."""
-    frames, steps = windows.observed.shape[1], windows.future.shape[1]
     fits: dict[str, Fit] = {
-        "zero_velocity": lambda _w, _f, _folds: zero_velocity(frames, steps),
-        "constant_velocity": lambda _w, _f, _folds: constant_velocity(frames, steps),
-        "damped_velocity": lambda w, f, _folds: damped_velocity(w, f, windows.dt),
-        "kalman": lambda w, f, _folds: kalman(w, f),
+        "zero_velocity": partial(_of_shape, zero_velocity),
+        "constant_velocity": partial(_of_shape, constant_velocity),
+        "damped_velocity": partial(_of_values, partial(damped_velocity, dt=windows.dt)),
+        "kalman": partial(_of_values, kalman),
         "ridge": fit_ridge,
         "mixer": partial(fit_mixer, steps=options.descent, seed=options.seed),
     }
     return fits[base]
+
+
+def _of_shape(make: Callable[[int, int], MeanModel], windows: Array, futures: Array, folds: Array) -> MeanModel:
+    """A mean model that only needs to know how many frames and steps there are."""
+    del folds
+    return make(windows.shape[1], futures.shape[1])
+
+
+def _of_values(fit: Callable[[Array, Array], MeanModel], windows: Array, futures: Array, folds: Array) -> MeanModel:
+    """A mean model that does without folds."""
+    del folds
+    return fit(windows, futures)
 
 
 def save_method(path: Path, card: ModelCard, method: Method) -> None:

@@ -110,6 +110,11 @@ class TrainingWindows:
     def __len__(self) -> int:
         return len(self.observed)
 
+    @property
+    def shape(self) -> tuple[int, int, float]:
+        """N, T and the time between frames [s]."""
+        return self.observed.shape[1], self.future.shape[1], self.dt
+
     @cached_property
     def points(self) -> Float[np.ndarray, "W N 6 3"]:
         """The observed windows, each in its own torso frame [m]."""

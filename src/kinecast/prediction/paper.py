@@ -7,9 +7,9 @@ and scene. Each series' next value depends on its own last 200 ms alone, as in t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +29,8 @@ from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import RELATIVE, SERIES, roll_positions, roll_series
 from kinecast.prediction.series import SeriesStack, stack_from_arrays, stack_of
-from kinecast.prediction.training import SparseGPOptions, fit_many
+from kinecast.prediction.training import SparseGPOptions, fit_sparse_gp
+from kinecast.tasks.workers import Workers
 
 __all__ = ["PositionSeries", "PostureSeries"]
 
@@ -52,16 +53,17 @@ class SeriesOptions(Protocol):
 
 
 def _fit(
-    inputs: Float[np.ndarray, "D W N"],
-    outputs: Float[np.ndarray, "D W"],
-    options: SeriesOptions,
-    progress: Callable[[int, int], None] | None,
-) -> SeriesStack:
-    """A process per series, each on the same random choice of windows."""
+    workers: Workers, inputs: Float[np.ndarray, "D W N"], outputs: Float[np.ndarray, "D W"], options: SeriesOptions
+) -> Any:
+    """A process per series, each on the same random choice of windows; stands for a SeriesStack."""
     windows = inputs.shape[1]
     rows = np.sort(np.random.default_rng(options.seed).permutation(windows)[: options.points])
     settings = SparseGPOptions(pseudo_inputs=options.pseudo_inputs, iterations=options.iterations, seed=options.seed)
-    return stack_of(fit_many(inputs[:, rows], outputs[:, rows, None], settings, progress=progress))
+    fits = [
+        workers.submit(fit_sparse_gp, x, y, settings)
+        for x, y in zip(inputs[:, rows], outputs[:, rows, None], strict=True)
+    ]
+    return workers.submit(stack_of, fits)
 
 
 @dataclass(frozen=True)
@@ -74,15 +76,13 @@ class PositionSeries:
     stack: SeriesStack
 
     @staticmethod
-    def fit(
-        windows: TrainingWindows, options: SeriesOptions, progress: Callable[[int, int], None] | None
-    ) -> PositionSeries:
-        """One process per coordinate, from the raw world positions as the paper has it."""
+    def fitting(workers: Workers, windows: TrainingWindows, options: SeriesOptions) -> Any:
+        """One process per coordinate, from the raw world positions as the paper has it; stands for the method."""
         count, frames = windows.observed.shape[:2]
         inputs = windows.observed.reshape(count, frames, 18).transpose(2, 0, 1)
         outputs = windows.future[:, 0].reshape(count, 18).T
-        stack = _fit(inputs, outputs, options, progress)
-        return PositionSeries(frames, windows.future.shape[1], windows.dt, stack)
+        stack = _fit(workers, inputs, outputs, options)
+        return workers.submit(PositionSeries, frames, windows.future.shape[1], windows.dt, stack)
 
     def forecast(
         self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
@@ -129,13 +129,11 @@ class PostureSeries:
     limits: JointLimits | None = None
 
     @staticmethod
-    def fit(
-        windows: TrainingWindows,
-        options: SeriesOptions,
-        noise: float,
-        progress: Callable[[int, int], None] | None,
-    ) -> PostureSeries:
-        """One process per coordinate; torso pose relative to its last value, angles as they are."""
+    def fitting(workers: Workers, windows: TrainingWindows, options: SeriesOptions, noise: float) -> Any:
+        """One process per coordinate; torso pose relative to its last value, angles as they are.
+
+        Stands for the method, without limits.
+        """
         observed, future = posture_coordinates(windows.points, windows.future_points)
         series = list(SERIES)
         inputs, outputs = observed[:, :, series], future[:, 0, series]
@@ -143,10 +141,11 @@ class PostureSeries:
         last = observed[:, -1:, series][..., torso]
         inputs[..., torso] -= last
         outputs[:, torso] -= last[:, 0]
-        stack = _fit(inputs.transpose(2, 0, 1), outputs.T, options, progress)
+        stack = _fit(workers, inputs.transpose(2, 0, 1), outputs.T, options)
         stray = future[..., list(LENGTHS)] - observed[:, -1:, list(LENGTHS)]
         length_spread = np.sqrt((stray**2).mean(axis=0) + 1e-6)
-        return PostureSeries(observed.shape[1], future.shape[1], windows.dt, stack, length_spread, noise)
+        shape = (observed.shape[1], future.shape[1], windows.dt)
+        return workers.submit(PostureSeries, *shape, stack, length_spread, noise)
 
     def with_limits(self, limits: JointLimits | None) -> PostureSeries:
         """The same processes, constrained or free."""

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import MissingExtraError, OptionError
+from kinecast.errors import OptionError
+from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
 from kinecast.prediction.kernels import RBF
 from kinecast.prediction.sparse_gp import JITTER, Scale, SparseGP
 
-__all__ = ["SparseGPOptions", "fit_many", "fit_sparse_gp"]
+__all__ = ["SparseGPOptions", "fit_sparse_gp"]
 
 Progress = Callable[[int, int], None]
 
@@ -117,38 +118,6 @@ def fit_sparse_gp(
     )
 
 
-def fit_many(
-    inputs: Float[np.ndarray, "B N D"],
-    outputs: Float[np.ndarray, "B N P"],
-    options: SparseGPOptions | None = None,
-    *,
-    progress: Progress | None = None,
-) -> list[SparseGP]:
-    """Train B independent SPGPs of equal shape; the likelihood is compiled once for all of them.
-
-    Args:
-        inputs: (B, N, D), any units.
-        outputs: (B, N, P), any units.
-        options: for each of them; None takes the defaults.
-        progress: called with (models done, B).
-
-    Returns:
-        B posteriors, as `fit_sparse_gp` returns them.
-
-    Raises:
-        MissingExtraError: without JAX.
-        OptionError: as `fit_sparse_gp`.
-    """
-    models = []
-    for done, (x, y) in enumerate(zip(inputs, outputs, strict=True)):
-        if progress is not None:
-            progress(done, len(inputs))
-        models.append(fit_sparse_gp(x, y, options))
-    if progress is not None:
-        progress(len(inputs), len(inputs))
-    return models
-
-
 def centres(rng: np.random.Generator, points: Float[np.ndarray, "N D"], count: int) -> Float[np.ndarray, "M D"]:
     """`count` k-means centres of points (Lloyd's iterations from points drawn at random), all distinct."""
     if len(points) > CENTRING_POINTS:
@@ -235,11 +204,7 @@ def _maximise(
 
 def _double_precision() -> Any:
     """A context in which JAX computes in float64; the caller's own setting comes back after it."""
-    try:
-        import jax
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
-    return jax.enable_x64(True)
+    return jax_in_one_thread().enable_x64(True)
 
 
 @cache

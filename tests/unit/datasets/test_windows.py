@@ -139,18 +139,12 @@ def test_an_unknown_label_lists_those_present() -> None:
         list(all_windows([waving(labels=labels), waving(labels=("stir",) * 60)], WindowOptions(label="juggle")))
 
 
-def test_recordings_are_taken_one_at_a_time_and_resampled() -> None:
-    taken = []
-
-    def recordings():  # type: ignore[no-untyped-def]
-        for name in ("first", "second"):
-            taken.append(name)
-            yield replace(waving(200, 100.0), name=name)
-
-    cuts = all_windows(recordings(), WindowOptions())
-    assert next(cuts).name == "first"
-    assert taken == ["first"]
-    assert [cut.name for cut in cuts] == ["second"]
+def test_many_recordings_are_resampled_and_counted() -> None:
+    told: list[tuple[int, int]] = []
+    many = (replace(waving(200, 100.0), name=name) for name in ("first", "second"))
+    cuts = all_windows(many, WindowOptions(), lambda done, total: told.append((done, total)))
+    assert [(cut.name, cut.rate) for cut in cuts] == [("first", 30.0), ("second", 30.0)]
+    assert told == [(1, 2), (2, 2)]
 
 
 def test_a_label_in_one_recording_is_enough() -> None:

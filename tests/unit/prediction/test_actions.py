@@ -148,7 +148,7 @@ def test_each_action_learns_from_its_own_windows(windows: TrainingWindows) -> No
     told: list[tuple[int, int]] = []
     actions = fit_actions(parts, SMALL, lambda done, total: told.append((done, total)))
     assert actions.labels == ("lift", "stack")
-    assert told == [(k, 6) for k in range(1, 7)]
+    assert told == [(k, 10) for k in range(1, 11)]
     errors = np.linalg.norm(actions.forecasts(windows.observed, 3) - windows.future[:, None], axis=-1).mean(axis=(2, 3))
     assert errors[:half, 0].mean() < errors[:half, 1].mean()
     assert errors[half:, 1].mean() < errors[half:, 0].mean()

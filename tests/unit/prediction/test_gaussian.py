@@ -16,11 +16,13 @@ from kinecast.prediction.baselines import zero_velocity
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.gaussian import (
     FLOOR,
+    Examples,
     PositionGaussian,
     PostureGaussian,
     posture_bounds,
     posture_coordinates,
-    residual_covariance,
+    residual_factor,
+    residual_moment,
     with_noise,
 )
 from kinecast.prediction.observation import Observation, TrainingWindows
@@ -48,12 +50,12 @@ def test_residual_covariance_is_that_of_errors_on_left_out_folds() -> None:
         seen.append(set(inside.tolist()))
         return Shift(float(fitted.mean()))
 
-    found = residual_covariance(fit, windows, futures, folds)
+    factor = residual_factor([residual_moment(fit, Examples(windows, futures, folds), fold) for fold in range(4)])
     errors = [
         futures[folds == k] - Shift(float(futures[folds != k].mean())).mean(windows[folds == k]) for k in range(4)
     ]
     stacked = np.concatenate(errors).reshape(40, -1)
-    np.testing.assert_allclose(found, stacked.T @ stacked / 40 + FLOOR**2 * np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(factor @ factor.T, stacked.T @ stacked / 40 + FLOOR**2 * np.eye(4), atol=1e-12)
     assert seen == [{1, 2, 3}, {0, 2, 3}, {0, 1, 3}, {0, 1, 2}]
 
 

@@ -14,7 +14,7 @@ from scipy import stats
 from kinecast.errors import MissingExtraError, OptionError
 from kinecast.prediction import training
 from kinecast.prediction.sparse_gp import JITTER, SparseGP
-from kinecast.prediction.training import SparseGPOptions, fit_many, fit_sparse_gp
+from kinecast.prediction.training import SparseGPOptions, fit_sparse_gp
 
 NOISE_SD = 0.15
 SMALL = SparseGPOptions(pseudo_inputs=12, iterations=40)
@@ -91,15 +91,6 @@ def test_the_same_seed_gives_the_same_model_and_another_seed_another(model: Spar
         np.testing.assert_array_equal(again.to_arrays()[name], array, err_msg=name)
     other = fit_sparse_gp(*waves(0), SparseGPOptions(pseudo_inputs=12, iterations=40, seed=1))
     assert not np.array_equal(other.pseudo_inputs, model.pseudo_inputs)
-
-
-def test_many_are_each_one_trained_alone_and_progress_is_told(model: SparseGP) -> None:
-    x, y = zip(waves(0), waves(5), strict=True)
-    told: list[tuple[int, int]] = []
-    models = fit_many(np.stack(x), np.stack(y), SMALL, progress=lambda done, of: told.append((done, of)))
-    assert told == [(0, 2), (1, 2), (2, 2)]
-    for name, array in model.to_arrays().items():
-        np.testing.assert_array_equal(models[0].to_arrays()[name], array, err_msg=name)
 
 
 def test_progress_counts_iterations_and_precision_is_left_alone() -> None:

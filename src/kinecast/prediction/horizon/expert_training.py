@@ -10,6 +10,7 @@ from jaxtyping import Float
 from kinecast.prediction.descent import descend
 from kinecast.prediction.horizon.features import FeatureScale, arm_views, time_basis
 from kinecast.prediction.horizon.learned import COMPONENTS, Network, RadialBasis, kernel_inputs
+from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
 from kinecast.prediction.training import centres
 
 __all__ = ["fit_network", "fit_radial_basis"]
@@ -120,7 +121,7 @@ def fit_network(
 
 
 def _network_loss(time: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]
-    import jax
+    jax = jax_in_one_thread()
     import jax.numpy as jnp
 
     basis = jnp.asarray(time, jnp.float32)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from kinecast.prediction.descent import descend
 from kinecast.prediction.horizon.gate import JOINT_TYPE, Gate, step_basis
+from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
 
 __all__ = ["fit_gate"]
 
@@ -28,7 +29,7 @@ def fit_gate(
         futures: what came, likewise [m].
         seed: of the batches.
     """
-    import jax
+    jax = jax_in_one_thread()
     import jax.numpy as jnp
 
     experts, steps, sources = forecasts.shape[1], forecasts.shape[2], errors.shape[-1]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.horizon.actions import Actions
@@ -14,15 +15,17 @@ from kinecast.prediction.horizon.expert_training import fit_network, fit_radial_
 from kinecast.prediction.horizon.features import yaw_frame
 from kinecast.prediction.horizon.gate import Gate
 from kinecast.prediction.horizon.gate_training import fit_gate
-from kinecast.prediction.horizon.learned import Expert, Network
+from kinecast.prediction.horizon.learned import Network, RadialBasis
 from kinecast.prediction.horizon.method import LONGEST_PAUSE, Horizon, Means, Mixture
-from kinecast.prediction.horizon.spread import SIDES
+from kinecast.prediction.horizon.spread import SIDES, Spread
 from kinecast.prediction.horizon.spread_training import fit_spread
 from kinecast.prediction.observation import TrainingWindows
+from kinecast.tasks.workers import Progress, Serial, Workers, generator, given
 
-__all__ = ["HorizonOptions", "fit_actions", "fit_horizon"]
+__all__ = ["HorizonOptions", "fit_actions", "fitting_horizon"]
 
-Progress = Callable[[int, int], None]
+Rows = Int[np.ndarray, " R"]
+Examples = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
@@ -46,91 +49,99 @@ class HorizonOptions:
     seed: int = 0
 
 
-def fit_horizon(
+def fitting_horizon(
+    workers: Workers,
     windows: TrainingWindows,
+    data: Any,
     limits: JointLimits | None,
     noise: float,
     options: HorizonOptions,
-    progress: Progress | None = None,
-) -> Horizon:
+) -> Any:
     """Trains the method `kinecast`.
 
     Args:
+        workers: that do the tasks: experts, what they say of each recording, gate and spread.
         windows: of consecutive frames, recording by recording; their groups (tasks, recordings) are left out one
             after another.
+        data: stands for the same windows.
         limits: of the arm's angles; None for none.
         noise: spread of a measured joint about the true one [m].
         options: see HorizonOptions.
-        progress: called with (done, total) fits of experts.
+
+    Returns:
+        What stands for the method.
     """
-    frames, steps = windows.observed.shape[1], windows.future.shape[1]
+    frames, steps, dt = windows.shape
     folds = windows.folds(options.folds)
     names = np.unique(folds)
-    total, done = 3 * (len(names) + 1), 0
-
-    def experts(rows: TrainingWindows, networks: int) -> list[Expert]:
-        nonlocal done
-        fitted: list[Expert] = []
-        for expert in _experts(rows, options, networks):
-            fitted.append(expert)
-            done += 1
-            if progress:
-                progress(done, total)
-        return fitted
-
-    held = []
-    for name in names:
+    held: list[tuple[Any, Rows, tuple[int, int]]] = []
+    for place, name in enumerate(names):
         outside = folds == name
         inside = ~outside & ~windows.near(outside) if len(names) > 1 else outside
-        held.append(
-            (
-                Mixture(experts(windows.take(np.flatnonzero(inside)), 1), None, frames, steps),
-                windows.take(np.flatnonzero(outside)),
-            )
-        )
-    gate = fit_gate(*_gate_examples(held, options), seed=options.seed)
-    spread = fit_spread(*_spread_examples(held, gate))
-    final = Mixture(experts(windows, options.networks), gate, frames, steps)
-    return Horizon(final, spread, windows.dt, noise, limits)
+        experts = _fitting_experts(workers, data, np.flatnonzero(inside), options, 1)
+        mixture = workers.submit(Mixture, experts, None, frames, steps)
+        for recording in np.unique(windows.recording[outside]).tolist():
+            held.append((mixture, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
+    examples = [workers.submit(_gate_examples, *each, data, options.seed) for each in held]
+    gate = workers.submit(_gate, examples, options.seed)
+    errors = [workers.submit(_spread_examples, mixture, rows, data, gate) for mixture, rows, _ in held]
+    spread = workers.submit(_spread, errors)
+    final = _fitting_experts(workers, data, np.arange(len(windows)), options, options.networks)
+    mixture = workers.submit(Mixture, final, gate, frames, steps)
+    return workers.submit(Horizon, mixture, spread, dt, noise, limits)
 
 
 def fit_actions(
-    windows: Mapping[str, TrainingWindows], options: HorizonOptions, progress: Progress | None = None
+    windows: Mapping[str, TrainingWindows],
+    options: HorizonOptions,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
 ) -> Actions:
     """Trains experts for each action on its windows alone.
 
     Args:
         windows: of each action, by its name.
         options: see HorizonOptions; folds do not matter.
-        progress: called with (done, total) fits of experts.
+        progress: called with (done, total) tasks.
+        workers: that do them; None for this process.
     """
-    fitted: list[tuple[Expert, ...]] = []
-    total, done = 3 * len(windows), 0
-    for own in windows.values():
-        experts: list[Expert] = []
-        for expert in _experts(own, options, 1):
-            experts.append(expert)
-            done += 1
-            if progress:
-                progress(done, total)
-        fitted.append(tuple(experts))
-    return Actions(tuple(windows), tuple(fitted))
+    workers = workers or Serial()
+    fits = [
+        _fitting_experts(workers, workers.submit(given, own), np.arange(len(own)), options, 1)
+        for own in windows.values()
+    ]
+    found = iter(workers.results([expert for experts in fits for expert in experts], progress))
+    return Actions(tuple(windows), tuple(tuple(next(found) for _ in experts) for experts in fits))
 
 
-def _experts(windows: TrainingWindows, options: HorizonOptions, networks: int) -> Iterator[Expert]:
-    """A radial basis, another on noisy inputs for poor sensors, and the mean of networks."""
-    rng = np.random.default_rng([options.seed, 1])
-    noisy = _with_noise(windows, rng, options.noise)
-    yield fit_radial_basis(windows.observed, windows.future, options.pseudo_inputs, options.seed)
-    yield fit_radial_basis(
+def _fitting_experts(workers: Workers, data: Any, rows: Rows, options: HorizonOptions, networks: int) -> list[Any]:
+    """A radial basis, another on noisy inputs for poor sensors, and the mean of networks; stand for the experts."""
+    seeds = range(options.seed, options.seed + networks)
+    fitted = [workers.submit(_network, data, rows, options.network_steps, seed) for seed in seeds]
+    return [
+        workers.submit(_radial_basis, data, rows, options),
+        workers.submit(_noisy_radial_basis, data, rows, options),
+        workers.submit(Network.mean_of, fitted),
+    ]
+
+
+def _network(data: TrainingWindows, rows: Rows, steps: int, seed: int) -> Network:
+    return fit_network(data.observed[rows], data.future[rows], steps, seed)
+
+
+def _radial_basis(data: TrainingWindows, rows: Rows, options: HorizonOptions) -> RadialBasis:
+    return fit_radial_basis(data.observed[rows], data.future[rows], options.pseudo_inputs, options.seed)
+
+
+def _noisy_radial_basis(data: TrainingWindows, rows: Rows, options: HorizonOptions) -> RadialBasis:
+    windows = data.take(rows)
+    noisy = _with_noise(windows, np.random.default_rng([options.seed, 1]), options.noise)
+    return fit_radial_basis(
         np.concatenate([windows.observed, noisy]),
         np.concatenate([windows.future, windows.future]),
         options.pseudo_inputs,
         options.seed,
     )
-    seeds = range(options.seed, options.seed + networks)
-    fitted = [fit_network(windows.observed, windows.future, options.network_steps, seed) for seed in seeds]
-    yield Network.mean_of(fitted)
 
 
 def _with_noise(
@@ -145,33 +156,29 @@ def _with_noise(
     return windows.observed + level * rng.standard_normal(windows.observed.shape)
 
 
-Held = list[tuple[Mixture, TrainingWindows]]
+def _gate_examples(mixture: Mixture, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int) -> Examples:
+    """Every fourth window of a recording as the gate would see it online, from a clean and from a noisy sensor.
 
-
-def _gate_examples(
-    held: Held, options: HorizonOptions
-) -> tuple[
-    Float[np.ndarray, "B E 6 Q"],
-    Float[np.ndarray, "B 6 5"],
-    Float[np.ndarray, "B E T 6 3"],
-    Float[np.ndarray, "B T 6 3"],
-]:
-    """Every fourth window as the gate would see it online, from a clean and from a noisy sensor."""
-    rng = np.random.default_rng([options.seed, 2])
+    Returns:
+        (B, E, 6, Q), (B, 6, 5), (B, E, T, 6, 3), (B, T, 6, 3) as `fit_gate` takes them.
+    """
+    part = data.take(rows)
     errors, looks, forecasts, futures = [], [], [], []
-    for mixture, windows in held:
-        for recording in np.unique(windows.recording):
-            part = windows.take(np.flatnonzero(windows.recording == recording))
-            for each in (part, _noisy_recording(part, rng)):
-                for row, means, _ in _followed(mixture, each):
-                    if row % 4:
-                        continue
-                    last = each.observed[row, -1]
-                    errors.append(means.inputs.errors)
-                    looks.append(means.inputs.window)
-                    forecasts.append((means.forecasts - last).astype(np.float32))
-                    futures.append(each.future[row] - last)
+    for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
+        for row, means, _ in _followed(mixture, each):
+            if row % 4:
+                continue
+            last = each.observed[row, -1]
+            errors.append(means.inputs.errors)
+            looks.append(means.inputs.window)
+            forecasts.append((means.forecasts - last).astype(np.float32))
+            futures.append(each.future[row] - last)
     return np.stack(errors), np.stack(looks), np.stack(forecasts), np.stack(futures)
+
+
+def _gate(examples: Sequence[Examples], seed: int) -> Gate:
+    errors, looks, forecasts, futures = map(np.concatenate, zip(*examples, strict=True))
+    return fit_gate(errors, looks, forecasts, futures, seed=seed)
 
 
 def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> TrainingWindows:
@@ -186,21 +193,25 @@ def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> Trai
     return replace(windows, observed=windows.observed + noise[seen], future=windows.future + noise[ahead])
 
 
-def _spread_examples(
-    held: Held, gate: Gate
-) -> tuple[Float[np.ndarray, "B T 6 3"], Float[np.ndarray, "B 6 F"], Float[np.ndarray, "B 6"]]:
-    """Errors of the mixture in each arm's own axes, features of the spread, speeds of the joints."""
+def _spread_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
+    """Errors of the mixture on a recording in each arm's own axes, features of the spread, speeds of the joints.
+
+    Returns:
+        (B, T, 6, 3), (B, 6, F), (B, 6) as `fit_spread` takes them.
+    """
     errors, features, speeds = [], [], []
-    for mixture, windows in held:
-        gated = replace(mixture, gate=gate)
-        for recording in np.unique(windows.recording):
-            part = windows.take(np.flatnonzero(windows.recording == recording))
-            for row, means, window in _followed(gated, part):
-                own = (part.future[row] - means.mean) @ yaw_frame(window[-1])
-                errors.append(np.einsum("tjd,jde->tje", own, SIDES))
-                features.append(means.features)
-                speeds.append(np.linalg.norm(np.diff(window, axis=0), axis=-1).mean(axis=0))
+    part = data.take(rows)
+    for row, means, window in _followed(replace(mixture, gate=gate), part):
+        own = (part.future[row] - means.mean) @ yaw_frame(window[-1])
+        errors.append(np.einsum("tjd,jde->tje", own, SIDES))
+        features.append(means.features)
+        speeds.append(np.linalg.norm(np.diff(window, axis=0), axis=-1).mean(axis=0))
     return np.stack(errors), np.stack(features), np.stack(speeds)
+
+
+def _spread(examples: Sequence[Examples]) -> Spread:
+    errors, features, speeds = map(np.concatenate, zip(*examples, strict=True))
+    return fit_spread(errors, features, speeds)
 
 
 def _followed(mixture: Mixture, windows: TrainingWindows) -> Iterator[tuple[int, Means, Float[np.ndarray, "N 6 3"]]]:

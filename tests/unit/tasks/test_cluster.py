@@ -1,0 +1,135 @@
+"""Two worker processes give what this process gives, to the last bit, also when one of them is killed."""
+
+from __future__ import annotations
+
+import json
+import operator
+import os
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("distributed")
+
+from distributed import LocalCluster
+
+from kinecast.datasets.recording import Recording
+from kinecast.datasets.synthetic import SyntheticOptions, generate
+from kinecast.datasets.windows import WindowOptions
+from kinecast.errors import ClusterError, DatasetError, OptionError
+from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
+from kinecast.prediction.horizon.expert_training import fit_network
+from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
+from kinecast.tasks.cluster import Cluster, cluster_at, worker_count
+from kinecast.tasks.workers import Serial, Workers, given
+
+OPTIONS = TrainingOptions(pseudo_inputs=4, points=100, iterations=2)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    with cluster_at("local:2") as cluster:
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def people() -> list[Recording]:
+    return generate(SyntheticOptions(subjects=2, recordings=2, duration=4.0), seed=2)
+
+
+class Killer:
+    """Kills one worker process once, in the middle of the work."""
+
+    def __init__(self, cluster: Cluster) -> None:
+        self._cluster = cluster
+        self.victim: int | None = None
+        self.counted: list[int] = []
+
+    def __call__(self, done: int, total: int) -> None:
+        self.counted.append(done)
+        if self.victim is None and 3 * done >= total:
+            self.victim = min(self._cluster.client.run(os.getpid).values())
+            os.kill(self.victim, signal.SIGKILL)
+
+
+def outcome(people: list[Recording], workers: Workers, progress: Any = None) -> tuple[dict[str, bytes], str]:
+    """Arrays of trained methods, and their scores as text."""
+    windows = training_windows(people[:2], WindowOptions(), workers=workers)
+    methods = train(["ridge_angles", "gp_xyz"], windows, OPTIONS, progress, workers)
+    _, whole = shipped_methods()
+    methods["kinecast"] = whole["kinecast"]  # it follows the person; training it takes long
+    arrays = {f"{name}.{key}": a.tobytes() for name, m in methods.items() for key, a in m.to_arrays().items()}
+    every = all_windows(people[2:], every_frame(WindowOptions()), workers=workers)
+    recordings = [
+        TestRecording(part.name, observations(part), part.future, part.frames, followed(history))
+        for part, history in zip(all_windows(people[2:], WindowOptions(stride=20)), every, strict=True)
+    ]
+    options = EvaluationOptions(samples=20, repeats=2, repeat_windows=4)
+    scores, histograms = evaluate(methods, recordings, None, options, workers=workers)
+    for score in scores["methods"].values():
+        del score["latency_ms"]
+    return arrays, json.dumps([scores, {name: again.tolist() for name, again in histograms.items()}])
+
+
+def test_a_worker_killed_in_the_middle_changes_nothing(cluster: Cluster, people: list[Recording]) -> None:
+    arrays, scores = outcome(people, Serial())
+    killer = Killer(cluster)
+    spread_arrays, spread_scores = outcome(people, cluster, killer)
+    assert killer.victim is not None
+    assert killer.counted == list(range(1, len(killer.counted) + 1))
+    assert spread_arrays == arrays
+    assert spread_scores == scores
+    assert killer.victim not in cluster.client.run(os.getpid).values()
+
+
+def test_descent_gives_the_same_network_everywhere(cluster: Cluster, people: list[Recording]) -> None:
+    windows = training_windows(people[:1], WindowOptions())
+    task = (fit_network, windows.observed, windows.future, 20, 0)
+    [here], [there] = (workers.results([workers.submit(*task)]) for workers in (Serial(), cluster))
+    assert here.to_arrays().keys() == there.to_arrays().keys()
+    for name, array in here.to_arrays().items():
+        np.testing.assert_array_equal(there.to_arrays()[name], array, err_msg=name)
+
+
+def test_what_a_task_raises_is_raised_here(cluster: Cluster) -> None:
+    bad = cluster.submit(all_windows, [], WindowOptions())
+    with pytest.raises(DatasetError, match=r"no window of 0\.7 s"):
+        cluster.results([bad])
+    assert cluster.results([cluster.submit(operator.add, cluster.submit(given, 1), 2)]) == [3]
+
+
+def test_a_task_that_kills_its_workers_is_given_up(cluster: Cluster) -> None:
+    deadly = cluster.submit(os._exit, 1)
+    with pytest.raises(ClusterError, match="workers died under the task exit"):
+        cluster.results([deadly])
+
+
+def test_a_scheduler_has_an_address(cluster: Cluster) -> None:
+    with cluster_at(cluster.client.scheduler.address) as same:
+        assert same.results([same.submit(np.sum, np.ones(4))]) == [4.0]
+    assert cluster.client.status == "running"
+
+
+def test_workers_with_several_threads_are_refused() -> None:
+    with (
+        LocalCluster(processes=False, n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0") as unfit,
+        pytest.raises(ClusterError, match="start workers with --nthreads 1"),
+        cluster_at(unfit.scheduler_address),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("where", ["local:0", "local:-1", "local:x", "local:", "local:9999", "nonsense", ""])
+def test_places_that_are_none_are_named(where: str) -> None:
+    with pytest.raises(OptionError, match="expected local, local:N"):
+        worker_count(where)
+
+
+def test_places() -> None:
+    assert worker_count("local:3") == 3
+    assert (worker_count("local") or 0) >= 1
+    assert worker_count("tls://example.org:8786") is None
