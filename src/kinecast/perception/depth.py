@@ -90,10 +90,10 @@ class DepthImage:
         values = np.sort(self._patch(pixel, radius))
         if len(values) < LEAST_SHARE * (2 * radius + 1) ** 2:
             return np.nan, np.nan
-        step = GAP + 3 * self.noise.std(values[:-1])
-        parts = np.split(values, np.flatnonzero(np.diff(values) > step) + 1)
+        gaps = np.flatnonzero(np.diff(values) > GAP + 3 * self.noise.std(values[:-1])) + 1
+        parts = np.split(values, gaps) if len(gaps) else [values]
         part = next((part for part in parts if len(part) >= LEAST_SHARE * len(values)), values)
-        low, middle, high = np.quantile(part, (0.16, 0.5, 0.84))
+        low, middle, high = part[(np.array([0.16, 0.5, 0.84]) * (len(part) - 1)).astype(int)]
         return float(middle), float(high - low) / 2
 
     def _patch(self, pixel: Float[np.ndarray, " 2"], radius: int) -> Float[np.ndarray, " N"]:

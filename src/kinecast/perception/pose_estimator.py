@@ -88,6 +88,7 @@ class PoseEstimator:
         path: its ONNX file.
 
     Attributes:
+        model: the network.
         joints: canonical names of the keypoints that have one.
 
     Raises:
@@ -95,7 +96,7 @@ class PoseEstimator:
     """
 
     def __init__(self, path: Path) -> None:
-        self._model = ImageModel(path)
+        self.model = ImageModel(path)
         count = self._check()
         if count not in _NAMES:
             known = ", ".join(map(str, _NAMES))
@@ -116,12 +117,12 @@ class PoseEstimator:
             ModelError: the network fails.
         """
         corner, scale = self._window(box)
-        return self._read(self._model.run(self._crop(image, corner, scale)), corner, scale)
+        return self._read(self.model.run(self._crop(image, corner, scale)), corner, scale)
 
     def _window(self, box: Float[np.ndarray, " 4"]) -> tuple[Float[np.ndarray, " 2"], float]:
         """Upper left corner [px] of what the network sees, and image pixels in one of its."""
         middle, size = (box[:2] + box[2:]) / 2, np.maximum(box[2:] - box[:2], 1.0) * PADDING
-        inside = np.array([self._model.width, self._model.height])
+        inside = np.array([self.model.width, self.model.height])
         scale = float((size / inside).max())
         return middle - scale * inside / 2, scale
 
@@ -130,7 +131,7 @@ class PoseEstimator:
     ) -> Float[np.ndarray, "h2 w2 3"]:
         back = np.array([[scale, 0.0, corner[0]], [0.0, scale, corner[1]]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        crop = cv2.warpAffine(image, back, (self._model.width, self._model.height), flags=flags)
+        crop = cv2.warpAffine(image, back, (self.model.width, self.model.height), flags=flags)
         return (crop - MEAN) / SCALE
 
     def _read(self, outputs: list[np.ndarray], corner: Float[np.ndarray, " 2"], scale: float) -> Keypoints:
@@ -151,7 +152,7 @@ class PoseEstimator:
             places = np.stack([each.argmax(axis=1) for each in both], axis=1) / self._bins
             heights = np.minimum(both[0].max(axis=1), both[1].max(axis=1))
         if len(outputs) == 1:
-            places = places * (self._model.width / outputs[0].shape[3], self._model.height / outputs[0].shape[2])
+            places = places * (self.model.width / outputs[0].shape[3], self.model.height / outputs[0].shape[2])
         return places.astype(np.float64), np.clip(np.nan_to_num(heights.astype(np.float64)), 0.0, 1.0)
 
     def _check(self) -> int:
@@ -160,18 +161,18 @@ class PoseEstimator:
         Raises:
             ModelError: its outputs are of another kind.
         """
-        shapes = [each.shape for each in self._model.sample]
+        shapes = [each.shape for each in self.model.sample]
         if len(shapes) == 1 and len(shapes[0]) == 4 and shapes[0][0] == 1:
             return shapes[0][1]
         if len(shapes) == 2 and all(len(shape) == 3 and shape[0] == 1 for shape in shapes):
-            self._order = (1, 0) if self._model.outputs[0].endswith("_y") else (0, 1)
+            self._order = (1, 0) if self.model.outputs[0].endswith("_y") else (0, 1)
             (_, count, wide), (_, same, high) = (shapes[place] for place in self._order)
-            self._bins = wide / self._model.width
-            fits = self._bins == high / self._model.height and self._bins in range(1, FINEST + 1)
+            self._bins = wide / self.model.width
+            fits = self._bins == high / self.model.height and self._bins in range(1, FINEST + 1)
             if fits and count == same:
                 return count
-        found = ", ".join(f"{name} {shape}" for name, shape in zip(self._model.outputs, shapes, strict=True))
-        raise ModelError(f"{self._model.path}: gives {found[:200]}; expected simcc_x and simcc_y, or heatmaps")
+        found = ", ".join(f"{name} {shape}" for name, shape in zip(self.model.outputs, shapes, strict=True))
+        raise ModelError(f"{self.model.path}: gives {found[:200]}; expected simcc_x and simcc_y, or heatmaps")
 
 
 def _heatmap_peaks(maps: Float[np.ndarray, "K h w"]) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, " K"]]:
