@@ -3,7 +3,8 @@
 python -m benchmarks.camera_step [--model ONNX] [--pictures N] [--out JSON]
 
 Colour and depth are of 848 x 480 pixels: a person of noise 2 m away in front of a wall. Without --model the network is
-one that gives the same 26 keypoints whatever it sees, in a moment. Times are of the processor in one thread, but for the network's, which are by the clock.
+one that gives the same 26 keypoints whatever it sees, in a moment. Times are of the processor in one thread, but for
+the network's, which are by the clock.
 """
 
 from __future__ import annotations
@@ -108,7 +109,7 @@ class TimedRun:
 
 
 def constant_network(path: Path) -> Path:
-    """Writes a network of RTMPose's form that gives 26 sure keypoints down the middle of the image, whatever it sees."""
+    """Writes a network of RTMPose's form that sees 26 keypoints down the middle of whatever it is shown."""
     width, height = INPUT
     x, y = np.zeros((1, 26, 2 * width), np.float32), np.zeros((1, 26, 2 * height), np.float32)
     x[0, :, width], y[0, np.arange(26), np.linspace(60, 2 * height - 60, 26).astype(int)] = 1.0, 1.0

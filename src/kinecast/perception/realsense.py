@@ -99,6 +99,7 @@ class RealSenseSource:
         deliver: takes what is seen; None for skeletons from this camera alone, in a world that begins below it.
 
     Attributes:
+        stream: of the camera.
         intrinsics: of the colour image.
 
     Raises:
@@ -111,9 +112,9 @@ class RealSenseSource:
     ) -> None:
         detector = None if options.detector is None else PersonDetector(options.detector)
         self._people = PeopleTracker(PoseEstimator(options.model), detector)
-        self._stream = RealSenseStream(place, options.size, options.rate)
+        self.stream = RealSenseStream(place, options.size, options.rate)
         self.address = name
-        self.intrinsics = self._stream.intrinsics
+        self.intrinsics = self.stream.intrinsics
         self._camera = PinholeCamera(name, self.intrinsics, standing(options.height, float(np.radians(options.tilt))))
         self._feed = feed
         self._deliver = deliver or self._lift
@@ -135,19 +136,19 @@ class RealSenseSource:
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                for picture in self._stream.pictures(self._stop):
+                for picture in self.stream.pictures(self._stop):
                     self._see(picture, time.monotonic())
             except Exception as problem:  # of librealsense, onnxruntime, the camera: none may end the others
                 self._feed.refuse(f"{type(problem).__name__}: {problem}")
             else:
                 break
-            if self._stream.recorded or self._stop.wait(RETRY):
+            if self.stream.recorded or self._stop.wait(RETRY):
                 break
         self._feed.end()
 
     def _see(self, picture: Picture, arrived: float) -> None:
         found = self._people.follow(picture.colour)
-        depths = DepthImage(picture.depth, self._stream.unit, self.intrinsics.fx, self._stream.noise)
+        depths = DepthImage(picture.depth, self.stream.unit, self.intrinsics.fx, self.stream.noise)
         joints = self._people.estimator.joints
         views = [view_of(picture.stamp, self.address, name, joints, each, depths) for name, each in found.items()]
         jumps = self._clock.jumps

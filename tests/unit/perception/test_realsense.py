@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,14 @@ from kinecast.body.skeleton import COCO_17
 from kinecast.cli import main
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.transforms import apply, inverse
+from kinecast.perception import realsense
 from kinecast.perception.camera import Intrinsics, PinholeCamera
 from kinecast.perception.depth import DepthImage, StereoNoise
 from kinecast.perception.fusion.sighting import FLESH
 from kinecast.perception.lifting import lifted, standing
 from kinecast.perception.mailbox import Mailbox
 from kinecast.perception.realsense import RealSenseOptions, RealSenseSource
-from kinecast.perception.realsense_stream import RealSenseStream, intrinsics_of
+from kinecast.perception.realsense_stream import Picture, RealSenseStream, intrinsics_of
 from kinecast.perception.view import View
 from kinecast.types import SkeletonFrame
 
@@ -315,6 +316,29 @@ def test_a_failure_is_counted_and_ends_nothing_else(
         assert played(source, mailbox) == []
     assert (feed.refused, feed.ended) == (1, True)
     assert "camera: ModelError: the network fails" in caplog.text
+
+
+def test_a_camera_that_fails_is_opened_anew(
+    recording: tuple[Path, np.ndarray], blob_network: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recording in place of a camera, unplugged twice."""
+    mailbox = Mailbox()
+    feed = mailbox.feed("camera")
+    source = RealSenseSource("camera", feed, str(recording[0]), RealSenseOptions(blob_network(17)))
+    stream, plugged = source.stream, iter((False, False, True))
+
+    def pictures(stop: threading.Event) -> Iterator[Picture]:
+        if not next(plugged):
+            raise RuntimeError("no picture for 5 s")
+        return RealSenseStream.pictures(stream, stop)
+
+    monkeypatch.setattr(stream, "pictures", pictures)
+    monkeypatch.setattr(stream, "recorded", False)
+    monkeypatch.setattr(realsense, "RETRY", 0.01)
+    source.start()
+    assert mailbox.take(60.0) is not None
+    assert feed.refused == 2
+    source.close()
 
 
 def test_a_camera_or_recording_that_is_not_there_is_named(tmp_path: Path) -> None:
