@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,9 @@ from websockets.sync.client import connect
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets.loading import load
+from kinecast.geometry.transforms import transform
+from kinecast.perception.camera import Intrinsics, PinholeCamera
+from kinecast.perception.rig import Rig
 from kinecast.types import Status
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -180,6 +184,55 @@ def test_two_networks_in_and_every_sink_out(
     assert [json.loads(line) for line in lines] == written
 
 
+def cameras() -> Rig:
+    """Two, 3 m away and 1.5 m up: one looks along x, one along y."""
+    ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    aside = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    lens = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
+    places = {"ahead": (ahead, [-3.0, 0.0, 1.2]), "aside": (aside, [0.0, -3.0, 1.2])}
+    return Rig({name: PinholeCamera(name, lens, transform(R, np.array(t))) for name, (R, t) in places.items()}, "cell")
+
+
+def test_what_the_cameras_of_a_rig_see_is_one_person(
+    start: Start, motion: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    rig, (_, arms) = cameras(), motion
+    middle = np.nanmean(arms[0], axis=0) - (0.0, 0.0, 1.2)
+    (tmp_path / "rig.yaml").write_text(rig.to_yaml())
+    live = start("--rig", "rig.yaml", "--source", "ws://:0", "--source", "udp://:0?camera=aside", "--sink", "ws://:0")
+    assert live.sources[0] == "fusion"
+    host, port = live.sources[2].removeprefix("udp://").split(":")
+    heard: dict[str, Any] | None = None
+    with (
+        connect(live.sources[1], proxy=None, open_timeout=LONG) as client,
+        connect(live.sinks[0], proxy=None, open_timeout=LONG) as listener,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams,
+    ):
+        datagrams.connect((host, int(port)))
+        for k in range(2000):
+            place = arms[k // 4 % len(arms)] - middle
+            for name, offset in (("ahead", 500.0), ("aside", -900.0)):  # clocks of their own
+                pixels, depth = rig.cameras[name].project(place)
+                content = {"stamp": k / 30 + offset, "joints": list(ARM_JOINTS), "person": str(k % 2)}
+                content |= {"pixels": pixels.tolist(), "depth": depth.tolist(), "pixel_std": [3.0] * 6}
+                if name == "ahead":
+                    client.send(json.dumps(content | {"camera": name}))
+                else:
+                    datagrams.send(json.dumps(content).encode())
+            try:
+                heard = json.loads(listener.recv(timeout=1 / 30))
+            except TimeoutError:
+                continue
+            if heard["number"] >= 10:
+                break
+    assert heard is not None
+    assert (heard["source"], heard["person"], heard["frame_id"]) == ("fusion of ahead, aside", "1", "cell")
+    assert abs(heard["stamp"] - time.time()) < LONG
+    np.testing.assert_allclose(heard["observed"], place, atol=0.1)
+    rest = live.end()
+    assert "fusion of ahead, aside" in rest
+
+
 def test_a_recording_is_played_and_ends(
     kinecast: Callable[..., Any], tables: tuple[Path, Path], scene_file: Path, tmp_path: Path
 ) -> None:
@@ -224,7 +277,7 @@ def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> No
     ("arguments", "words"),
     [
         (("--source", "ftp://x:1", "--sink", "ws://:0"), "--source ftp://x:1: expected a recording's path"),
-        (("--source", "ws://:0?speed=2", "--sink", "ws://:0"), "speed unknown; allowed are none"),
+        (("--source", "ws://:0?speed=2", "--sink", "ws://:0"), "speed unknown; allowed are camera"),
         (
             ("--source", "ws://nowhere.invalid:80", "--sink", "ws://:0"),
             "ws://nowhere.invalid:80: nothing can listen there",
@@ -247,6 +300,9 @@ def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> No
         (("--source", "{table}", "--source", "{table}", "--sink", "ws://:0"), "is there twice"),
         (("--source", "ws://:0", "--sink", "ws://:0", "--scene", "none.yaml"), "none.yaml"),
         (("--source", "ws://:0", "--sink", "ws://:0", "--model", "none.npz"), "none.npz"),
+        (("--source", "ws://:0", "--sink", "ws://:0", "--rig", "none.yaml"), "none.yaml: no such file"),
+        (("--source", "ws://:0?camera=left", "--sink", "ws://:0"), "a camera needs --rig"),
+        (("--source", "udp://:0?camera=x", "--sink", "ws://:0", "--rig", "{rig}"), "camera 'x' is not in the rig"),
         (("--source", "ws://:0", "--sink", "ws://:0", "--level", "2"), "--level 2.0 is outside 0..1"),
     ],
 )
@@ -255,7 +311,9 @@ def test_what_cannot_be_is_refused_before_anything_starts(
 ) -> None:
     kept = tmp_path / "kept.mcap"
     kept.write_text("of yesterday")
-    filled = [argument.format(table=tables[0]) for argument in arguments]
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(cameras().to_yaml())
+    filled = [argument.format(table=tables[0], rig=rig) for argument in arguments]
     model = () if "--model" in arguments else ("--model", MODEL)
     done = kinecast("live", *filled, "--sink", f"mcap:{kept}", *model, "--samples", 2)
     assert done.code == 2

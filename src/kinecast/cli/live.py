@@ -20,6 +20,7 @@ from kinecast.cli.progress import CONSOLE
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
+from kinecast.perception.rig import Rig
 from kinecast.pipeline import frames
 from kinecast.prediction.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame
@@ -35,12 +36,15 @@ Sinks = Annotated[
     arg(name="sink", metavar="SINK", help_behavior_hint="(once or more)"),
 ]
 
+RigFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: no fusion)")]
+
 
 def live(
     sources: Sources,
     sinks: Sinks,
     model: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")] = None,
     scene: SceneFile = None,
+    rig: RigFile = None,
     samples: int = 1000,
     level: float = 0.95,
     seed: int = 0,
@@ -55,6 +59,7 @@ def live(
         sinks: ws://HOST:PORT to send predictions to all who connect, mcap:FILE for Foxglove, jsonl:FILE.
         model: a model file.
         scene: obstacles and goals, a YAML file.
+        rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
         samples: motions drawn per prediction.
         level: probability that each tube holds.
         seed: of the draws.
@@ -63,6 +68,7 @@ def live(
     from kinecast.cli.live_opening import open_sinks, open_sources, read_sink, read_source
     from kinecast.live.loop import Live, Source
     from kinecast.live.sinks import Sink
+    from kinecast.perception.fused import FusedSource
     from kinecast.perception.mailbox import Mailbox
     from kinecast.perception.network import Network
 
@@ -75,6 +81,7 @@ def live(
         if isinstance(each.place, Path):
             check_file(each.place, (each.place.suffix,), "--sink")
     obstacles = None if scene is None else Scene.load(scene)
+    cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
     first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
     mailbox, network = Mailbox(), Network()
@@ -82,7 +89,10 @@ def live(
     opened_sinks: list[Sink] = []
     with _until_told() as stop, _logged():
         try:
-            open_sources(inputs, _frames, mailbox, network, opened_sources)
+            fused = None if cameras is None else FusedSource(cameras, mailbox.feed("fusion"))
+            if fused is not None:
+                opened_sources.append(fused)
+            open_sources(inputs, _frames, mailbox, network, opened_sources, fused)
             open_sinks(outputs, network, opened_sinks)
             loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
             for source in opened_sources:

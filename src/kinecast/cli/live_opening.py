@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
 from kinecast.errors import OptionError
@@ -12,11 +13,16 @@ from kinecast.live.loop import Source
 from kinecast.live.mcap import McapSink
 from kinecast.live.sinks import FileSink, JsonlSink, Sink
 from kinecast.live.websocket import WebSocketSink
-from kinecast.perception.mailbox import Mailbox
+from kinecast.perception.admission import Admission
+from kinecast.perception.mailbox import Feed, Mailbox
 from kinecast.perception.network import Address, Network, UdpSource, WebSocketSource
 from kinecast.perception.recorded import RecordedSource
+from kinecast.perception.view import Deliver
 from kinecast.perception.xsens import DEFAULT_PORT, XsensAdmission, XsensOptions
 from kinecast.types import SkeletonFrame
+
+if TYPE_CHECKING:
+    from kinecast.perception.fused import FusedSource
 
 __all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_source"]
 
@@ -24,7 +30,7 @@ SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
     "xsens://HOST:PORT?person=0 or realsense:SERIAL?model=FILE"
 )
-REALSENSE_SETTINGS = ("model", "detector", "size", "rate", "tilt", "height")
+REALSENSE_SETTINGS = ("model", "detector", "size", "rate", "tilt", "height", "camera")
 SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH or jsonl:PATH"
 _FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
 
@@ -53,7 +59,7 @@ def read_source(text: str) -> Description:
         OptionError: it is none.
     """
     if "://" in text:
-        settings = ("person", "up", "stamps") if text.startswith("xsens:") else ()
+        settings = ("person", "up", "stamps") if text.startswith("xsens:") else ("camera",)
         source = _address(text, ("ws", "udp", "xsens"), settings, f"--source {text}: expected {SOURCE_FORMS}")
         XsensOptions.parse(source.settings, text)
         return source
@@ -90,6 +96,7 @@ def open_sources(
     mailbox: Mailbox,
     network: Network,
     opened: list[Source],
+    fused: FusedSource | None = None,
 ) -> None:
     """Opens sources, each with a feed of its own; network sources listen at once.
 
@@ -99,37 +106,55 @@ def open_sources(
         mailbox: for their frames.
         network: that they run in.
         opened: those opened are appended, also when one fails.
+        fused: takes what cameras of the rig see; None without a rig.
 
     Raises:
         OptionError, DatasetError, ModelError: one cannot be opened.
     """
     for each in sources:
-        opened.append(_source(each, play, mailbox, network))
+        opened.append(_source(each, play, mailbox, network, fused))
 
 
 def _source(
-    source: Description, play: Callable[[Path], Sequence[SkeletonFrame]], mailbox: Mailbox, network: Network
+    source: Description,
+    play: Callable[[Path], Sequence[SkeletonFrame]],
+    mailbox: Mailbox,
+    network: Network,
+    fused: FusedSource | None,
 ) -> Source:
     if isinstance(source.place, Path):
         speed, repeat = (_number(source, name) for name in ("speed", "repeat"))
         frames = play(source.place)
         return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, int(repeat))
     if isinstance(source.place, str):
-        return _realsense(source, source.place, mailbox)
+        return _realsense(source, source.place, mailbox, fused)
     feed = mailbox.feed(source.text)
-    if source.kind == "ws":
-        return WebSocketSource(source.place, feed, network)
-    mvn = source.kind == "xsens"
-    admission = XsensAdmission(feed, XsensOptions.parse(source.settings, source.text)) if mvn else None
-    return UdpSource(source.place, feed, network, admission)
+    if source.kind == "xsens":
+        return UdpSource(
+            source.place, feed, network, XsensAdmission(feed, XsensOptions.parse(source.settings, source.text))
+        )
+    _deliverer(source, feed, fused)
+    admission = Admission(feed, fused, source.settings.get("camera", ""))
+    return (WebSocketSource if source.kind == "ws" else UdpSource)(source.place, feed, network, admission)
 
 
-def _realsense(source: Description, place: str, mailbox: Mailbox) -> Source:
+def _realsense(source: Description, place: str, mailbox: Mailbox, fused: FusedSource | None) -> Source:
     from kinecast.perception.realsense import RealSenseOptions, RealSenseSource  # here, since cameras are an extra
 
     options = RealSenseOptions.parse(source.settings, source.text)
     name = f"realsense:{place}"
-    return RealSenseSource(name, mailbox.feed(name), place, options)
+    feed = mailbox.feed(name)
+    return RealSenseSource(name, feed, place, options, _deliverer(source, feed, fused))
+
+
+def _deliverer(source: Description, feed: Feed, fused: FusedSource | None) -> Deliver | None:
+    """Where a source delivers what its camera of the rig sees; None where it is of no such camera."""
+    camera = source.settings.get("camera")
+    if camera is None:
+        return None
+    if fused is None:
+        raise OptionError(f"{source.text}: a camera needs --rig, the file that says where it stands")
+    return fused.deliverer(camera, feed)
 
 
 def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink]) -> None:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from typing import TYPE_CHECKING
 
 from kinecast.perception.clock import SourceClock
 from kinecast.perception.mailbox import Feed
 from kinecast.perception.message import MessageError, decode
+from kinecast.perception.view import View
 from kinecast.types import SkeletonFrame
+
+if TYPE_CHECKING:
+    from kinecast.perception.fused import FusedSource
 
 __all__ = ["MOST_PERSONS", "MOST_SENDERS", "Admission"]
 
 MOST_PERSONS = 16
-"""Persons of one source at once."""
+"""Persons of one source, or of one camera of it, at once."""
 MOST_SENDERS = 16
 """Senders of one source at once."""
 FORGET = 2.0
@@ -24,12 +29,16 @@ class Admission:
 
     Args:
         feed: where good frames go and bad messages are counted.
+        fused: where frames of a rig's cameras go instead; None without a rig.
+        camera: of which all are; empty where messages say it themselves.
     """
 
-    def __init__(self, feed: Feed) -> None:
+    def __init__(self, feed: Feed, fused: FusedSource | None = None, camera: str = "") -> None:
         self._feed = feed
+        self._fused = fused
+        self._camera = camera
         self._senders: dict[Hashable, tuple[SourceClock, float]] = {}
-        self._persons: dict[str, tuple[Hashable, float]] = {}
+        self._persons: dict[tuple[str, str], tuple[Hashable, float]] = {}
 
     @property
     def senders(self) -> int:
@@ -49,19 +58,23 @@ class Admission:
         except MessageError as problem:
             self._feed.refuse(str(problem))
 
-    def admit(self, frame: SkeletonFrame, sender: Hashable, arrived: float) -> None:
+    def admit(self, frame: SkeletonFrame | View, sender: Hashable, arrived: float) -> None:
         """A frame that was read already; see `take`.
 
         Raises:
-            MessageError: too many send, or its person is another sender's.
+            MessageError: too many send, its person is another sender's, or its camera is none of the rig's.
         """
+        camera = self._camera_of(frame)
         clock = self._clock(sender, arrived)
-        self._claim(frame, sender, arrived)
+        self._claim(camera, frame.person, sender, arrived)
         jumps = clock.jumps
         acquired = clock.acquired(frame.stamp, arrived)
         self._feed.clock_jumps += clock.jumps - jumps
         self._feed.difference = clock.difference
-        self._feed.put(frame, acquired)
+        if self._fused is not None and camera:
+            self._fused.put(camera, self._feed, frame, acquired)
+        elif isinstance(frame, SkeletonFrame):
+            self._feed.put(frame, acquired)
 
     def leave(self, sender: Hashable) -> None:
         """A sender has gone: its persons' names are free."""
@@ -78,13 +91,29 @@ class Admission:
         self._senders[sender] = clock, arrived
         return clock
 
-    def _claim(self, frame: SkeletonFrame, sender: Hashable, arrived: float) -> None:
-        """A person belongs to the first who sends it, until that sender is silent about it."""
-        owner, last = self._persons.get(frame.person, (sender, arrived))
+    def _camera_of(self, frame: SkeletonFrame | View) -> str:
+        """The rig's camera whose frame it is; empty for a skeleton in the world."""
+        if self._fused is None:
+            if isinstance(frame, View):
+                raise MessageError("pixels need --rig, a file of cameras")
+            return ""
+        cameras = self._fused.rig.cameras
+        name = frame.camera if isinstance(frame, View) else frame.frame_id
+        named = name if isinstance(frame, View) or name in cameras else ""
+        if named and self._camera and named != self._camera:
+            raise MessageError(f"camera {named!r}, but this source is of camera {self._camera!r}")
+        camera = named or self._camera
+        if isinstance(frame, View) and camera not in cameras:
+            raise MessageError(f"camera {camera!r} is not in the rig, which has {', '.join(cameras)}")
+        return camera
+
+    def _claim(self, camera: str, person: str, sender: Hashable, arrived: float) -> None:
+        """A person of a camera belongs to the first who sends it, until that sender is silent about it."""
+        owner, last = self._persons.get((camera, person), (sender, arrived))
         if owner != sender and arrived - last < FORGET:
-            raise MessageError(f"person {frame.person!r} is sent by another sender too")
-        if frame.person not in self._persons:
+            raise MessageError(f"person {person!r} is sent by another sender too")
+        if (camera, person) not in self._persons:
             self._persons = {name: kept for name, kept in self._persons.items() if arrived - kept[1] < FORGET}
-            if len(self._persons) >= MOST_PERSONS:
+            if sum(name[0] == camera for name in self._persons) >= MOST_PERSONS:
                 raise MessageError(f"more than {MOST_PERSONS} persons")
-        self._persons[frame.person] = sender, arrived
+        self._persons[camera, person] = sender, arrived

@@ -1,4 +1,4 @@
-"""One skeleton as it comes over a network, JSON or msgpack: the schema in docs/live.md, and what is refused."""
+"""One person as they come over a network, JSON or msgpack: the schema in docs/live.md, and what is refused."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from kinecast.body.skeleton import JOINTS, SKELETONS, Skeleton, require_arms
 from kinecast.errors import DatasetError, MissingExtraError
+from kinecast.perception.view import View
 from kinecast.types import SkeletonFrame
 
 try:
@@ -32,19 +33,25 @@ FARTHEST = 10_000.0
 
 
 class MessageError(ValueError):
-    """A message that is no skeleton; the text says what was found and what is allowed."""
+    """A message that is nobody; the text says what was found and what is allowed."""
 
 
 class _Message(msgspec.Struct, gc=False):
     """The fields of a message; unknown ones are passed over."""
 
     stamp: float
-    positions: list[list[float | None]]
+    positions: list[list[float | None]] | None = None
+    pixels: list[list[float | None] | None] | None = None
     joints: list[str] | None = None
     skeleton: str | None = None
     person: str | int = "0"
     frame_id: str = "world"
     std: list[float | None] | None = None
+    camera: str = ""
+    pixel_std: list[float | None] | None = None
+    depth: list[float | None] | None = None
+    depth_std: list[float | None] | None = None
+    confidence: list[float | None] | None = None
 
 
 _JSON = msgspec.json.Decoder(_Message)
@@ -53,15 +60,15 @@ _SKELETONS = {skeleton.name: skeleton for skeleton in SKELETONS}
 _CANONICAL = Skeleton("kinecast", JOINTS, {joint: joint for joint in JOINTS})
 
 
-def decode(content: bytes | str) -> SkeletonFrame:
-    """A skeleton from a message.
+def decode(content: bytes | str) -> SkeletonFrame | View:
+    """A person from a message: a skeleton, or where one camera sees their joints.
 
     Args:
         content: JSON where the first character is `{`, else msgpack. At most `LARGEST_MESSAGE` bytes.
 
     Returns:
-        The frame; joints that kinecast has no name for are left out, one with a coordinate that is null or not finite
-        is not seen (NaN).
+        The frame, or the view where there are pixels; joints that kinecast has no name for are left out, one with a
+        coordinate that is null or not finite is not seen (NaN).
 
     Raises:
         MessageError: anything else is wrong with it, and nothing else is ever raised.
@@ -73,13 +80,15 @@ def decode(content: bytes | str) -> SkeletonFrame:
         message = (_JSON if raw[:64].lstrip()[:1] == b"{" else _MSGPACK).decode(raw)
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
         raise MessageError(_short(str(error) or type(error).__name__)) from None
-    return _frame(message)
-
-
-def _frame(message: _Message) -> SkeletonFrame:
     if not abs(message.stamp) <= LATEST_STAMP:
         raise MessageError(f"stamp {message.stamp:g} is no time in seconds")
-    rows = len(message.positions)
+    if (message.positions is None) == (message.pixels is None):
+        raise MessageError("expected either positions or pixels")
+    return _frame(message, message.positions) if message.positions is not None else _view(message, message.pixels or [])
+
+
+def _frame(message: _Message, positions: list[list[float | None]]) -> SkeletonFrame:
+    rows = len(positions)
     if rows > MOST_JOINTS:
         raise MessageError(f"{rows} positions, at most {MOST_JOINTS} are taken")
     columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), rows)
@@ -91,10 +100,37 @@ def _frame(message: _Message) -> SkeletonFrame:
     return SkeletonFrame(
         float(message.stamp),
         joints,
-        _positions([message.positions[column] for column in columns]),
+        _positions([positions[column] for column in columns]),
         _name(str(message.person), "person"),
         _name(message.frame_id, "frame_id"),
         std,
+    )
+
+
+def _view(message: _Message, rows: list[list[float | None] | None]) -> View:
+    if len(rows) > MOST_JOINTS:
+        raise MessageError(f"{len(rows)} pixels, at most {MOST_JOINTS} are taken")
+    columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), len(rows))
+    if any(row is not None and len(row) != 2 for row in rows):
+        raise MessageError("a pixel is not two numbers")
+    pixels = _numbers([value for row in rows for value in row or (None, None)]).reshape(-1, 2)
+
+    def each(name: str, missing: float) -> Float[np.ndarray, " J"]:
+        values: list[float | None] | None = getattr(message, name)
+        if values is not None and len(values) != len(rows):
+            raise MessageError(f"{len(values)} {name} for {len(rows)} pixels")
+        return np.full(len(columns), missing) if values is None else _numbers(values)[list(columns)]
+
+    return View(
+        float(message.stamp),
+        _name(message.camera, "camera") if message.camera else "",
+        joints,
+        pixels[list(columns)],
+        each("pixel_std", np.nan),
+        each("depth", np.nan),
+        each("depth_std", np.nan),
+        each("confidence", 1.0),
+        _name(str(message.person), "person"),
     )
 
 
@@ -109,9 +145,9 @@ def _columns(skeleton: str | None, names: tuple[str, ...] | None, rows: int) -> 
         raise MessageError(f"skeleton {_short(skeleton)!r} is unknown; known are {', '.join(_SKELETONS)}")
     known = _CANONICAL if skeleton is None else _SKELETONS[skeleton]
     if names is None and skeleton is None:
-        raise MessageError("neither joints nor skeleton say which joint each position is of")
+        raise MessageError("neither joints nor skeleton say which joint each row is of")
     if len(known.joints if names is None else names) != rows:
-        raise MessageError(f"{rows} positions for {len(known.joints if names is None else names)} joints")
+        raise MessageError(f"{rows} rows for {len(known.joints if names is None else names)} joints")
     canonical = known.joints if names is None else tuple(known.find(_name(name, "joint")) for name in names)
     columns = tuple(column for column, joint in enumerate(canonical) if joint is not None)
     joints = tuple(joint for joint in canonical if joint is not None)

@@ -187,13 +187,14 @@ class WebSocketSource(_Listener):
         address: where it listens, at once.
         feed: where frames go.
         network: that it runs in.
+        admission: takes the messages; None for skeletons in the world.
 
     Raises:
         OptionError: nothing can listen there.
     """
 
-    def __init__(self, address: Address, feed: Feed, network: Network) -> None:
-        super().__init__(feed, network, Admission(feed))
+    def __init__(self, address: Address, feed: Feed, network: Network, admission: Admission | None = None) -> None:
+        super().__init__(feed, network, admission or Admission(feed))
         self._server = opened(address, lambda: network.run(listen(address, self._receive, LARGEST_MESSAGE)))
         self.address = feed.name = str(Address(address.scheme, address.host, port_of(self._server)))
 

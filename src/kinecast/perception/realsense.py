@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,15 +20,12 @@ from kinecast.perception.people import PeopleTracker
 from kinecast.perception.person_detector import PersonDetector
 from kinecast.perception.pose_estimator import PoseEstimator
 from kinecast.perception.realsense_stream import Picture, RealSenseStream
-from kinecast.perception.view import View
+from kinecast.perception.view import Deliver, View
 
 __all__ = ["RealSenseOptions", "RealSenseSource"]
 
 RETRY = 1.0
 """Before a camera that failed is opened anew [s]."""
-
-Deliver = Callable[[float, Sequence[View], float], None]
-"""Takes one image: its stamp [s], everybody in it, when it was acquired [s] on `time.monotonic`."""
 
 
 @dataclass(frozen=True)

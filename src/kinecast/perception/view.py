@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-__all__ = ["View"]
+__all__ = ["Deliver", "View"]
 
 
 @dataclass(frozen=True)
@@ -41,3 +42,7 @@ class View:
     def seen(self) -> Bool[np.ndarray, " J"]:
         """(J,) True where there is a pixel."""
         return np.isfinite(self.pixels).all(axis=-1)
+
+
+Deliver = Callable[[float, Sequence[View], float], None]
+"""Takes one image: its stamp [s], everybody in it, when it was acquired [s] on `time.monotonic`."""

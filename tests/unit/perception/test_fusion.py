@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, transform
+from kinecast.perception.admission import Admission
 from kinecast.perception.camera import Intrinsics, PinholeCamera
+from kinecast.perception.fused import FusedSource
 from kinecast.perception.fusion.fusion import ELSEWHERE, Fusion
 from kinecast.perception.fusion.sighting import FLESH
 from kinecast.perception.fusion.track import CONFIRMED, SHOWN
+from kinecast.perception.mailbox import Mailbox
 from kinecast.perception.rig import Rig
 from kinecast.perception.view import View
 from kinecast.types import SkeletonFrame
@@ -275,3 +281,62 @@ def test_nothing_that_views_say_raises() -> None:
         for frame in fusion.add(name, float(stamp), people):
             known = np.isfinite(frame.positions).all(axis=1)
             assert np.isfinite(frame.std[known]).all(), k  # type: ignore[index]
+
+
+def test_cameras_of_a_rig_are_one_source_that_ends_when_they_all_have() -> None:
+    mailbox = Mailbox()
+    source = FusedSource(RIG, mailbox.feed("fusion"))
+    feeds = {name: mailbox.feed(name) for name in RIG.cameras}
+    deliver = {name: source.deliverer(name, feed) for name, feed in feeds.items()}
+    with pytest.raises(OptionError, match="camera 'd' is not in the rig, which has a, b, c"):
+        source.deliverer("d", feeds["a"])
+    source.start()
+    frames: list[SkeletonFrame] = []
+    begun = time.monotonic()
+    for k in range(600):
+        for name in RIG.cameras:
+            deliver[name](float(k), [look(name, REST)], begun + k * PERIOD)
+        while (arrival := mailbox.take(PERIOD)) is not None:
+            frames.append(arrival.frame)
+            assert time.time() - arrival.frame.stamp >= 0
+            assert arrival.acquired == pytest.approx(arrival.frame.stamp - time.time() + time.monotonic(), abs=1.0)
+        if len(frames) >= 10:
+            break
+    for feed in feeds.values():
+        feed.end()
+    while not mailbox.finished:
+        mailbox.take(1.0)
+    source.close()
+    assert len(frames) >= 10
+    assert max(error(frame, still).max() for frame in frames) < 1e-3
+    assert all(feed.received == k + 1 for feed in feeds.values())
+
+
+def test_messages_of_pixels_and_of_a_cameras_own_skeletons_reach_the_fusion() -> None:
+    mailbox = Mailbox()
+    source, feed = FusedSource(RIG, mailbox.feed("fusion")), mailbox.feed("ws")
+    admission, lone = Admission(feed, source), Admission(feed)
+    source.start()
+    own = apply(RIG.cameras["b"].T_camera_world, REST)
+    found: SkeletonFrame | None = None
+    begun = time.monotonic()
+    for k in range(600):
+        common = {"stamp": k * PERIOD, "joints": JOINTS}
+        view = look("a", REST)
+        seen = {"camera": "a", "pixels": view.pixels.tolist(), "depth": view.depth.tolist()}
+        for content in (common | seen, common | {"frame_id": "b", "positions": own.tolist()}):
+            admission.take(json.dumps(content), "sender", max(begun + k * PERIOD, begun))
+        if (arrival := mailbox.take(PERIOD)) is not None:
+            found = arrival.frame
+            break
+    assert found is not None
+    assert error(found, still).max() < 0.02
+    refused = feed.refused
+    admission.take(json.dumps(common | seen | {"camera": "d"}), "sender", time.monotonic())
+    lone.take(json.dumps(common | seen), "sender", time.monotonic())
+    Admission(feed, source, "b").take(json.dumps(common | seen), "sender", time.monotonic())
+    assert feed.refused == refused + 3
+    admission.take(json.dumps(common | {"positions": REST.tolist()}), "sender", time.monotonic())  # in the world
+    arrivals = iter(lambda: mailbox.take(1.0), None)
+    assert any(each.feed is feed for each in arrivals)
+    source.close()

@@ -19,6 +19,7 @@ from kinecast.body.skeleton import ARM_JOINTS, COCO_17
 from kinecast.perception.admission import FORGET, MOST_PERSONS, MOST_SENDERS, Admission
 from kinecast.perception.mailbox import Mailbox
 from kinecast.perception.message import LARGEST_MESSAGE, MessageError, decode
+from kinecast.perception.view import View
 from kinecast.types import SkeletonFrame
 
 REST = [[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]]
@@ -65,7 +66,7 @@ def test_a_known_skeleton_needs_no_names() -> None:
         (json.dumps(message(stamp="noon")), "Expected `float`, got `str` - at `$.stamp`"),
         (json.dumps(message(stamp=1.8e12)), "stamp 1.8e+12 is no time in seconds"),
         (msgspec.msgpack.encode(message(stamp=float("nan"))), "stamp nan is no time"),
-        (json.dumps(message(joints=["left_wrist"])), "6 positions for 1 joints"),
+        (json.dumps(message(joints=["left_wrist"])), "6 rows for 1 joints"),
         (json.dumps(message(joints=None)), "neither joints nor skeleton"),
         (json.dumps(message(skeleton="octopus")), "skeleton 'octopus' is unknown; known are Azure Kinect 32"),
         (json.dumps(message(joints=["tail", *ARM_JOINTS[1:]])), "left_shoulder missing"),
@@ -218,3 +219,42 @@ def test_the_log_has_a_line_and_not_one_for_each(caplog: pytest.LogCaptureFixtur
 
 if __name__ == "__main__":
     fuzz(FUZZED)
+
+
+def sighted(**changes: Any) -> dict[str, Any]:
+    """A message of pixels, changed."""
+    pixels = [[100.0 + 10 * row, 200.0] for row in range(6)]
+    return {"stamp": 1.5, "joints": list(ARM_JOINTS), "pixels": pixels, "camera": "left", **changes}
+
+
+def test_pixels_come_through_as_a_view() -> None:
+    pixels = [[10, 20], None, [None, 5], [1, 2], [3, 4], [5, 6]]
+    content = sighted(pixels=pixels, depth=[2.5, None, 2, 2, 2, 2], pixel_std=[3] * 6, person="7")
+    view = decode(json.dumps(content))
+    assert isinstance(view, View)
+    assert (view.camera, view.person, view.stamp, view.joints) == ("left", "7", 1.5, ARM_JOINTS)
+    np.testing.assert_array_equal(view.seen, [True, False, False, True, True, True])
+    assert view.depth[0] == 2.5
+    assert np.isnan(view.depth[1])
+    assert np.isnan(view.depth_std).all()
+    np.testing.assert_array_equal(view.confidence, 1.0)
+    assert isinstance(decode(msgspec.msgpack.encode(content)), View)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"positions": REST}, "either positions or pixels"),
+        ({"pixels": None}, "either positions or pixels"),
+        ({"pixels": [[1, 2, 3]] * 6}, "a pixel is not two numbers"),
+        ({"pixels": [[1, 2]] * 5}, "5 rows for 6 joints"),
+        ({"pixels": [[1, 2]] * 200, "joints": ["left_wrist"] * 200}, "200 pixels, at most 128"),
+        ({"depth": [1.0]}, "1 depth for 6 pixels"),
+        ({"confidence": [1.0] * 7}, "7 confidence for 6 pixels"),
+        ({"camera": "a\nb"}, "camera 'a?b'"),
+    ],
+)
+def test_what_is_wrong_with_pixels_is_said_in_a_line(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(MessageError) as caught:
+        decode(json.dumps(sighted(**changes)))
+    assert words in str(caught.value)

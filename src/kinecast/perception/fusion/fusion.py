@@ -131,9 +131,9 @@ class Fusion:
         return [track.frame(self.rig.frame_id) for track in shown]
 
     @property
-    def waiting(self) -> float | None:
-        """Stamp of the oldest image in the round that is open [s]; None where there is none."""
-        return min((self._heard[camera] for camera in self._round), default=None)
+    def waiting(self) -> bool:
+        """Whether a round is open that some cameras are not in yet."""
+        return bool(self._round)
 
     def _closes(self, camera: str, stamp: float) -> bool:
         """Whether an image cannot be in the same round as those before."""
