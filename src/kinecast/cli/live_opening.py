@@ -144,7 +144,14 @@ def _realsense(source: Description, place: str, mailbox: Mailbox, fused: FusedSo
     options = RealSenseOptions.parse(source.settings, source.text)
     name = f"realsense:{place}"
     feed = mailbox.feed(name)
-    return RealSenseSource(name, feed, place, options, _deliverer(source, feed, fused))
+    opened = RealSenseSource(name, feed, place, options, _deliverer(source, feed, fused))
+    if fused is not None and "camera" in source.settings:
+        calibrated = fused.rig.cameras[source.settings["camera"]].intrinsics
+        found = opened.intrinsics
+        if (found.width, found.height) != (calibrated.width, calibrated.height):
+            sizes = f"{found.width}x{found.height} pixels, and the rig's camera {calibrated.width}x{calibrated.height}"
+            raise OptionError(f"{source.text}: its images have {sizes}")
+    return opened
 
 
 def _deliverer(source: Description, feed: Feed, fused: FusedSource | None) -> Deliver | None:

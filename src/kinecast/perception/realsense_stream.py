@@ -17,10 +17,10 @@ from kinecast.errors import MissingExtraError, OptionError
 from kinecast.perception.camera import Intrinsics
 from kinecast.perception.depth import StereoNoise
 
-__all__ = ["FILES", "Picture", "RealSenseStream", "intrinsics_of"]
+__all__ = ["FILES", "Picture", "RealSenseStream", "intrinsics_of", "rs"]
 
 FILES = (".bag", ".db3")
-"""Endings of recordings; librealsense writes .db3 from version 2.57 on."""
+"""Endings of recordings; librealsense wrote .bag before it wrote .db3."""
 SILENT = 5.0
 """After so long without a picture [s] the camera is opened anew."""
 WAIT = 200
@@ -52,6 +52,7 @@ def _library() -> ModuleType:
 
 
 rs = _library()
+"""pyrealsense2."""
 
 
 @dataclass(frozen=True)

@@ -16,22 +16,22 @@ import cv2
 import numpy as np
 import pytest
 
-from kinecast.body.skeleton import COCO_17
+from kinecast.body.skeleton import ARM_JOINTS, COCO_17
 from kinecast.cli import main
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.transforms import apply, inverse
 from kinecast.perception import realsense
 from kinecast.perception.camera import Intrinsics, PinholeCamera
 from kinecast.perception.depth import DepthImage, StereoNoise
+from kinecast.perception.fused import FusedSource
 from kinecast.perception.fusion.sighting import FLESH
 from kinecast.perception.lifting import lifted, standing
 from kinecast.perception.mailbox import Mailbox
 from kinecast.perception.realsense import RealSenseOptions, RealSenseSource
-from kinecast.perception.realsense_stream import Picture, RealSenseStream, intrinsics_of
+from kinecast.perception.realsense_stream import Picture, RealSenseStream, intrinsics_of, rs
+from kinecast.perception.rig import Rig
 from kinecast.perception.view import View
 from kinecast.types import SkeletonFrame
-
-rs = pytest.importorskip("pyrealsense2", reason="pyrealsense2 cannot be loaded", exc_type=ImportError)
 
 MODEL = Path(__file__).resolve().parents[3] / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
 BODY = np.array(
@@ -250,6 +250,24 @@ def test_a_recorded_person_comes_out_where_they_were(
     assert np.isfinite(errors).mean() > 0.9
 
 
+def test_a_camera_of_a_rig_is_fused(recording: tuple[Path, np.ndarray], blob_network: Callable[..., Path]) -> None:
+    path, bodies = recording
+    mailbox = Mailbox()
+    rig = Rig({"front": PinholeCamera("front", COLOUR, standing(HEIGHT, np.radians(TILT)))}, "cell")
+    fused = FusedSource(rig, mailbox.feed("fusion"))
+    feed = mailbox.feed("camera")
+    options = RealSenseOptions(blob_network(17, width=144, height=192))
+    source = RealSenseSource("camera", feed, str(path), options, fused.deliverer("front", feed))
+    fused.start()
+    frames = played(source, mailbox)
+    fused.close()
+    assert feed.refused == 0
+    assert len(frames) > 3
+    arms = frames[-1].positions[[frames[-1].joints.index(joint) for joint in ARM_JOINTS]]
+    np.testing.assert_allclose(arms[:, 1:], bodies[-1][[5, 7, 9, 6, 8, 10], 1:], atol=0.08)
+    assert {frame.frame_id for frame in frames} == {"cell"}
+
+
 def test_the_command_predicts_from_it(
     recording: tuple[Path, np.ndarray], blob_network: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -265,12 +283,35 @@ def test_the_command_predicts_from_it(
     np.testing.assert_allclose(np.array(last["observed"])[:, 1:], BODY[[5, 7, 9, 6, 8, 10], 1:], atol=0.08)
 
 
+def test_a_camera_of_another_size_than_the_rigs_is_refused(
+    recording: tuple[Path, np.ndarray],
+    blob_network: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    half = Intrinsics(320, 240, 215.0, 215.0, 160.0, 120.0)
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(Rig({"front": PinholeCamera("front", half, standing())}).to_yaml())
+    source = f"realsense:{recording[0]}?model={blob_network(17)}&camera=front"
+    arguments = ["live", "--source", source, "--rig", str(rig), "--model", str(MODEL), "--sink", "ws://:0"]
+    monkeypatch.setattr(sys, "argv", ["kinecast", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert "its images have 640x480 pixels, and the rig's camera 320x240" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.parametrize(
     ("source", "words"),
     [
         ("realsense:", "model=FILE is needed"),
         ("realsense:?model=none.onnx", "none.onnx: No such file or directory"),
-        ("realsense:?model=none.onnx&fps=3", "fps unknown; allowed are model, detector, size, rate, tilt, height"),
+        ("realsense:?model=none.onnx&camera=left", "a camera needs --rig"),
+        (
+            "realsense:?model=none.onnx&fps=3",
+            "fps unknown; allowed are model, detector, size, rate, tilt, height, camera",
+        ),
     ],
 )
 def test_the_command_refuses_what_cannot_be(
