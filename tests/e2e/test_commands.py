@@ -15,6 +15,7 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets import table
+from kinecast.datasets.difference import differences
 from kinecast.datasets.loading import load
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.table_file import read_rows
@@ -61,6 +62,7 @@ class TestHelp:
         assert re.findall(r"• (\w+)", outcome.out) == [
             "demo",
             "info",
+            "convert",
             "download",
             "train",
             "evaluate",
@@ -314,6 +316,58 @@ class TestCluster:
         assert outcome.code == 2
         assert "--cluster local:none: expected local, local:N" in outcome.err
         assert not list(tmp_path.iterdir())
+
+
+class TestConvert:
+    def test_a_table_through_mcap_and_back_is_the_same(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        outcome = kinecast("convert", tables[0], tmp_path / "a.mcap")
+        assert (outcome.code, outcome.err) == (0, "")
+        assert outcome.out.splitlines()[1:] == ["  nothing is lost"]
+        assert kinecast("convert", tmp_path / "a.mcap", tmp_path / "b.csv").code == 0
+        for before, after in zip(table.load(tables[0]), table.load(tmp_path / "b.csv"), strict=True):
+            np.testing.assert_array_equal(after.positions, before.positions)
+            assert (after.name, after.labels, after.notes) == (before.name, before.labels, before.notes)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.csv"]
+
+    def test_what_json_lines_lose_is_printed_and_they_are_recordings(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        outcome = kinecast("convert", tables[0], tmp_path / "a.jsonl")
+        lost = [line.split(":")[1].strip() for line in outcome.out.splitlines()[1:]]
+        assert lost == ["name", "format", "subject", "task", "note"]
+        assert "jsonl, 150 frames, 5.0 s at 30 Hz" in kinecast("info", tmp_path / "a.jsonl").out
+
+    def test_orientations_of_a_vicon_take_are_said_to_be_lost(
+        self, kinecast: Kinecast, data_root: Path, tmp_path: Path
+    ) -> None:
+        take = data_root / "human_robot_animations/TossTheCan/0.csv.xz"
+        outcome = kinecast("convert", take, tmp_path / "take.parquet")
+        assert outcome.out.splitlines()[1:] == ["  lost: rotations of the rigid bodies, which kinecast does not read"]
+        assert differences(load(take), load(tmp_path / "take.parquet")) == []
+
+    def test_nothing_is_replaced_unasked_and_nothing_is_left_of_a_failure(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        there = tmp_path / "a.csv"
+        there.write_text("mine")
+        refusals = {
+            there: "is there already; --force replaces it",
+            tmp_path / "a.bvh": "cannot be written; BVH holds the rotations",
+            tmp_path / "a.xyz": "must end in .parquet or .csv or .mcap or .jsonl",
+            tables[0]: "is what is to be converted",
+        }
+        for target, reason in refusals.items():
+            outcome = kinecast("convert", tables[0], target)
+            assert outcome.code == 2
+            assert reason in outcome.err
+        many = kinecast("convert", tables[0].parent, tmp_path / "b.csv")
+        assert "convert takes one" in many.err
+        assert there.read_text() == "mine"
+        assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+        assert kinecast("convert", tables[0], there, "--force").code == 0
+        assert there.read_text() != "mine"
 
 
 class TestPredict:

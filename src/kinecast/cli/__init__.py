@@ -10,6 +10,7 @@ from typing import Any
 import tyro
 
 from kinecast import __version__
+from kinecast.cli.convert import convert
 from kinecast.cli.demo import demo
 from kinecast.cli.download import download
 from kinecast.cli.evaluate import evaluate
@@ -26,6 +27,7 @@ __all__ = ["main"]
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": demo,
     "info": info,
+    "convert": convert,
     "download": download,
     "train": train,
     "evaluate": evaluate,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-from kinecast.datasets.loading import FORMATS
+from kinecast.cli.formats import FORMAT_NAMES
 from kinecast.errors import OptionError
 from kinecast.prediction.methods import METHODS
 
@@ -46,7 +46,7 @@ FormatName = Annotated[
     str | None,
     arg(
         metavar="NAME",
-        help=f"format of the recordings: {', '.join(FORMATS)}.",
+        help=f"format of the recordings: {', '.join(FORMAT_NAMES)}.",
         help_behavior_hint="(default: found by content)",
     ),
 ]

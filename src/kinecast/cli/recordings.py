@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
+from kinecast.cli.formats import MORE_FORMATS
 from kinecast.cli.progress import note, progress_bar
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
@@ -29,7 +30,7 @@ def read_recordings(paths: Sequence[Path], format: str | None, option: str = "")
     if not paths:
         raise OptionError(f"{option}: no recording given".removeprefix(": "))
     with progress_bar("reading") as progress:
-        return load_all(paths, format, progress=progress)
+        return load_all(paths, format, progress=progress, more=MORE_FORMATS)
 
 
 def one_scene(recordings: Sequence[Recording], path: Path, command: str) -> Sequence[Recording]:

@@ -29,7 +29,7 @@ from kinecast.datasets.bvh import CENTIMETRES_Y_UP, BvhOptions
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 
-__all__ = ["BONE_RANGE", "FARTHEST", "FORMATS", "check", "load", "load_all"]
+__all__ = ["BONE_RANGE", "FARTHEST", "FORMATS", "Format", "check", "load", "load_all"]
 
 BONE_RANGE = (0.10, 0.60)
 """Shortest and longest believable median upper arm or forearm [m]. Adults' are 0.2 to 0.4 m; between marker
@@ -46,27 +46,33 @@ _UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
 
 
 @dataclass(frozen=True)
-class _Format:
-    """A format: its name on the command line, whether a path is of it, and how it is loaded."""
+class Format:
+    """A format of recordings.
+
+    Attributes:
+        name: on the command line.
+        matches: whether a file or folder is of it, by its content.
+        load: every recording in it.
+    """
 
     name: str
     matches: Callable[[Path], bool]
     load: Callable[[Path], list[Recording]]
 
 
-def _formats(options: BvhOptions) -> tuple[_Format, ...]:
+def _formats(options: BvhOptions) -> tuple[Format, ...]:
     """Every format, in the order they are tried: folders, then andy before the mvnx it contains."""
     return (
-        _Format("kth-handover", kth_handover.matches, kth_handover.load),
-        _Format("ha4m", ha4m.matches, ha4m.load),
-        _Format("ha4m-features", ha4m_features.matches, ha4m_features.load),
-        _Format("andy", andy.matches, andy.load),
-        _Format("mvnx", mvnx.matches, mvnx.load),
-        _Format("mvnx", xsens_csv.matches, xsens_csv.load),
-        _Format("bvh", bvh.matches, partial(bvh.load, options=options)),
-        _Format("vicon", vicon.matches, vicon.load),
-        _Format("table", table.matches, table.load),
-        _Format("lego", lego.matches, lego.load),
+        Format("kth-handover", kth_handover.matches, kth_handover.load),
+        Format("ha4m", ha4m.matches, ha4m.load),
+        Format("ha4m-features", ha4m_features.matches, ha4m_features.load),
+        Format("andy", andy.matches, andy.load),
+        Format("mvnx", mvnx.matches, mvnx.load),
+        Format("mvnx", xsens_csv.matches, xsens_csv.load),
+        Format("bvh", bvh.matches, partial(bvh.load, options=options)),
+        Format("vicon", vicon.matches, vicon.load),
+        Format("table", table.matches, table.load),
+        Format("lego", lego.matches, lego.load),
     )
 
 
@@ -98,15 +104,17 @@ def load_all(
     format: str | None = None,
     bvh_options: BvhOptions = CENTIMETRES_Y_UP,
     progress: Callable[[int, int], None] | None = None,
+    more: Sequence[Format] = (),
 ) -> list[Recording]:
     """Every recording in several files or folders, each loaded once; otherwise as `load`.
 
-    `progress` is called with (done, total) files.
+    `progress` is called with (done, total) files; `more` are formats beside `FORMATS`.
     """
-    if format is not None and format not in FORMATS:
-        raise OptionError(f"format is {format!r}, expected one of {', '.join(FORMATS)}")
-    formats = [each for each in _formats(bvh_options) if format in (None, each.name)]
-    sources: dict[Path, tuple[Path, _Format]] = {}
+    known = (*_formats(bvh_options), *more)
+    if format is not None and format not in {each.name for each in known}:
+        raise OptionError(f"format is {format!r}, expected one of {', '.join(sorted({each.name for each in known}))}")
+    formats = [each for each in known if format in (None, each.name)]
+    sources: dict[Path, tuple[Path, Format]] = {}
     for path in map(Path, paths):
         if not path.exists():
             raise DatasetError(path, "no such file or folder")
@@ -172,7 +180,7 @@ def _check_bone(lengths: Float[np.ndarray, " N"], bone: str, where: object) -> N
     raise DatasetError(where, f"{bone} is {median:.4g} m (median), but {allowed}{advice}")
 
 
-def _sources(path: Path, formats: Sequence[_Format]) -> Iterator[tuple[Path, _Format]]:
+def _sources(path: Path, formats: Sequence[Format]) -> Iterator[tuple[Path, Format]]:
     """Every file or folder at or below a path that one of the formats matches, in natural order."""
     matching = next((each for each in formats if each.matches(path)), None)
     if matching:

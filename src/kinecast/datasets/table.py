@@ -14,7 +14,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.table_file import Rows, Words, is_table, read_rows, write_rows
 from kinecast.errors import DatasetError
 
-__all__ = ["load", "matches", "write"]
+__all__ = ["Description", "describe", "load", "matches", "write"]
 
 _WORLD = "z up, right-handed, metres, seconds"
 
@@ -50,7 +50,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
             label=_joined(block.label for block in blocks if block.label is not None) if labelled else None,
             metadata={
                 "world": _WORLD,
-                "recordings": [asdict(_describe(recording)) for recording in recordings],
+                "recordings": [asdict(describe(recording)) for recording in recordings],
             },
         ),
     )
@@ -76,7 +76,7 @@ def load(path: Path) -> list[Recording]:
     if rows.metadata is None or "recordings" not in rows.metadata:
         return [_recording(rows, _inferred(rows, person, path), path) for person in rows.person.names]
     try:
-        described = [_Description(**each) for each in rows.metadata["recordings"]]
+        described = [Description(**each) for each in rows.metadata["recordings"]]
     except TypeError as error:
         raise DatasetError(path, f"metadata is damaged: {error}") from error
     unknown = set(rows.person.names) - {description.person for description in described}
@@ -86,8 +86,12 @@ def load(path: Path) -> list[Recording]:
 
 
 @dataclass(frozen=True)
-class _Description:
-    """What a recording is beside its rows, as the metadata holds it."""
+class Description:
+    """What a recording is beside its frames, as a file's metadata holds it.
+
+    Raises:
+        TypeError: an entry of another type.
+    """
 
     name: str
     person: str
@@ -107,8 +111,9 @@ class _Description:
             raise TypeError(f"rate {self.rate!r} is no number")
 
 
-def _describe(recording: Recording) -> _Description:
-    return _Description(
+def describe(recording: Recording) -> Description:
+    """What a recording is beside its frames."""
+    return Description(
         name=recording.name,
         person=recording.person,
         joints=list(recording.joints),
@@ -121,7 +126,7 @@ def _describe(recording: Recording) -> _Description:
     )
 
 
-def _inferred(rows: Rows, person: str, path: Path) -> _Description:
+def _inferred(rows: Rows, person: str, path: Path) -> Description:
     """The description of a person in a table without metadata."""
     mine = rows.person.codes == rows.person.names.index(person)
     stamps = np.unique(rows.stamp[mine])
@@ -129,7 +134,7 @@ def _inferred(rows: Rows, person: str, path: Path) -> _Description:
         raise DatasetError(path, f"{len(stamps)} frame of person {person!r}; at least 2 are needed to tell the rate")
     rate = float(1.0 / np.median(np.diff(stamps)))
     alone = len(rows.person.names) == 1
-    return _Description(
+    return Description(
         name=base_name(path) if alone else f"{base_name(path)}/{person}",
         person=person,
         joints=[rows.joint.names[code] for code in dict.fromkeys(rows.joint.codes[mine].tolist())],
@@ -153,7 +158,7 @@ def _require_complete(rows: Rows, path: Path) -> None:
             raise DatasetError(f"{path}, row {int(np.argmax(missing)) + 1}", f"no {column}")
 
 
-def _recording(rows: Rows, description: _Description, path: Path) -> Recording:
+def _recording(rows: Rows, description: Description, path: Path) -> Recording:
     """One person's rows as a recording; (stamp, joint) pairs without a row are NaN."""
     person = rows.person.names.index(description.person) if description.person in rows.person.names else -1
     mine = np.flatnonzero(rows.person.codes == person)

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.live.publication import Publication, arms_of
-from kinecast.types import LIMBS, Status
+from kinecast.types import LIMBS, SkeletonFrame, Status
 
-__all__ = ["SCENE_UPDATE", "scene_update"]
+__all__ = ["SCENE_UPDATE", "scene_update", "skeleton_update"]
 
 LIFETIME = 0.5
 """How long what is drawn stays without a newer one [s]."""
@@ -53,26 +53,47 @@ def scene_update(publication: Publication, time: float) -> dict[str, Any]:
     known = np.isfinite(radii)
     capsules = list(zip(_rounded(ends[known]), _rounded(radii[known]), strict=True))
     top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)
-    entity = {
-        "timestamp": {"sec": int(time), "nsec": int(time % 1 * 1e9)},
-        "frame_id": publication.frame.frame_id,
-        "id": "/".join(publication.key),
-        "lifetime": {"sec": int(LIFETIME), "nsec": int(LIFETIME % 1 * 1e9)},
-        "frame_locked": False,
+    entity = _entity("/".join(publication.key), publication.frame.frame_id, time) | {
         "metadata": [
             {"key": "status", "value": prediction.status.name},
             {"key": "source", "value": publication.source},
         ],
-        "arrows": [],
-        "cubes": [],
         "spheres": [_sphere(end, radius, colour) for ends, radius in capsules for end in ends],
         "cylinders": [_cylinder(start, end, radius, colour) for (start, end), radius in capsules],
         "lines": [line for line in lines if line["points"]],
-        "triangles": [],
         "texts": [_text(f"{prediction.person}: {prediction.status.name}", _rounded(top + ABOVE), colour)],
-        "models": [],
     }
     return {"deletions": [], "entities": [entity]}
+
+
+def skeleton_update(frame: SkeletonFrame, time: float) -> dict[str, Any]:
+    """One person as measured: lines for the arms, a small sphere for every joint that is seen.
+
+    Args:
+        frame: what to draw.
+        time: of the drawing [s], 0 or more.
+    """
+    line = _lines(arms_of(frame), _SEEN, 1.0, 0.03)
+    entity = _entity(frame.person, frame.frame_id, time) | {
+        "spheres": [_sphere(joint, 0.02, _SEEN, 1.0) for joint in _rounded(frame.positions[frame.valid])],
+        "lines": [line] if line["points"] else [],
+    }
+    return {"deletions": [], "entities": [entity]}
+
+
+def _entity(name: str, frame_id: str, time: float) -> dict[str, Any]:
+    """Nothing drawn yet."""
+    nothing: dict[str, Any] = {
+        part: []
+        for part in ("metadata", "arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+    }
+    return nothing | {
+        "timestamp": {"sec": int(time), "nsec": int(time % 1 * 1e9)},
+        "frame_id": frame_id,
+        "id": name,
+        "lifetime": {"sec": int(LIFETIME), "nsec": int(LIFETIME % 1 * 1e9)},
+        "frame_locked": False,
+    }
 
 
 def _rounded(values: np.ndarray) -> Any:
@@ -97,9 +118,9 @@ def _lines(arms: Float[np.ndarray, "6 3"], colour: Colour, opacity: float, thick
     }  # fmt: skip
 
 
-def _sphere(centre: Point, radius: float, colour: Colour) -> dict[str, Any]:
+def _sphere(centre: Point, radius: float, colour: Colour, opacity: float = 0.15) -> dict[str, Any]:
     pose = {"position": _point(centre), "orientation": _NO_TURN}
-    return {"pose": pose, "size": _point([2 * radius] * 3), "color": _rgba(colour, 0.15)}
+    return {"pose": pose, "size": _point([2 * radius] * 3), "color": _rgba(colour, opacity)}
 
 
 def _cylinder(start: Point, end: Point, radius: float, colour: Colour) -> dict[str, Any]:

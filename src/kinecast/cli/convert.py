@@ -1,0 +1,59 @@
+"""`kinecast convert`: recordings in another format, and what is lost on the way."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from kinecast.cli.destination import check_file
+from kinecast.cli.formats import MORE_FORMATS, UNREAD, WRITERS
+from kinecast.cli.options import FormatName, Switch
+from kinecast.cli.progress import progress_bar
+from kinecast.cli.recordings import one_scene, read_recordings
+from kinecast.datasets.difference import differences
+from kinecast.datasets.loading import load_all
+from kinecast.errors import OptionError
+
+__all__ = ["convert"]
+
+NO_BVH = "BVH holds the rotations of a skeleton whose bones keep their length, which positions do not tell"
+
+
+def convert(
+    source: Annotated[Positional[Path], arg(metavar="A")],
+    target: Annotated[Positional[Path], arg(metavar="B")],
+    force: Switch = False,
+    format: FormatName = None,
+) -> None:
+    """Writes a recording in another format, reads it back, and says what is lost.
+
+    Args:
+        source: a recording, of one person or of several at the same time.
+        target: the file to write, ending in .parquet, .csv, .mcap or .jsonl.
+        force: replace a file that is there.
+        format: read the recording as this format instead of finding it by content.
+    """
+    if target.suffix == ".bvh":
+        raise OptionError(f"{target}: cannot be written; {NO_BVH}")
+    check_file(target, tuple(WRITERS), "B")
+    if target.exists() and source.exists() and target.samefile(source):
+        raise OptionError(f"{target}: is what is to be converted")
+    if target.exists() and not force:
+        raise OptionError(f"{target}: is there already; --force replaces it")
+    here = source.resolve()
+    recordings = one_scene(read_recordings((source,), format), source, "convert")
+    with tempfile.TemporaryDirectory(dir=target.absolute().parent, prefix=f".{target.name}.") as folder:
+        written = Path(folder) / target.name
+        with progress_bar("writing"):
+            WRITERS[target.suffix](written, recordings)
+        lost = differences(recordings, load_all([written], more=MORE_FORMATS))
+        written.chmod(0o644)
+        written.replace(target)
+    frames, persons = sum(len(each.stamps) for each in recordings), len(recordings)
+    print(f"{target}: {frames} frames of {persons} person{'s' * (persons != 1)}")
+    of_file = {each.format for each in recordings if each.source and each.source.resolve().is_relative_to(here)}
+    lost = [f"{UNREAD[name]}, which kinecast does not read" for name in of_file & set(UNREAD)] + lost
+    print("\n".join(f"  lost: {each}" for each in lost) if lost else "  nothing is lost")
