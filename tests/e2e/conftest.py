@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import fcntl
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +20,20 @@ from kinecast.cli import main
 from kinecast.datasets import table
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 
+MODEL = Path(__file__).resolve().parents[2] / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
+LIVE = (
+    sys.executable,
+    "-c",
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from kinecast.cli import main; main()",
+    "live",
+    "--model",
+    str(MODEL),
+    "--samples",
+    "50",
+)
+"""Ctrl-C means something to it even where the tests run in the background."""
+LONG = 240.0
+"""Of a wait for another process, on however busy a machine [s]; most take a second."""
 PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=5.0, jumps=0.0)
 
 
@@ -82,3 +104,64 @@ def model(tables: tuple[Path, Path], scene_file: Path, tmp_path_factory: pytest.
     options = ["--method", "kalman_constrained", "--scene", str(scene_file), "--out", str(path)]
     main(["train", str(tables[0]), *options])
     return path
+
+
+@dataclass
+class Running:
+    """`kinecast live`, and the addresses it printed."""
+
+    process: subprocess.Popen[str]
+    sources: list[str]
+    sinks: list[str]
+
+    def end(self, number: int = signal.SIGINT) -> str:
+        """What it prints when it is told to end."""
+        self.process.send_signal(number)
+        rest, _ = self.process.communicate(timeout=LONG)
+        assert self.process.returncode == 0, rest
+        assert "Traceback" not in rest
+        return rest
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:
+    """start("--source", …) → Running, in the folder of the test; environment={…} adds to that of this process."""
+    started: list[subprocess.Popen[str]] = []
+
+    def run(*arguments: str, environment: dict[str, str] | None = None) -> Running:
+        process = subprocess.Popen(
+            (*LIVE, *arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env=os.environ | (environment or {}),
+        )  # fmt: skip
+        started.append(process)
+        found: dict[str, list[str]] = {"source": [], "sink": []}
+        said = []
+        assert process.stdout is not None
+        for line in process.stdout:
+            said.append(line)
+            if line.startswith("Ctrl-C ends it"):
+                return Running(process, found["source"], found["sink"])
+            if match := re.match(r"(source|sink): (.+)", line):
+                found[match[1]].append(match[2])
+        pytest.fail(f"it ended with {process.wait(LONG)} and no address: {''.join(said)}")
+
+    yield run
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate(timeout=LONG)
+
+
+@pytest.fixture(scope="session")
+def debian() -> Callable[..., None]:
+    """debian("chromium") installs packages of Debian where this is root on Debian; elsewhere it does nothing."""
+
+    def install(*packages: str) -> None:
+        if os.geteuid() != 0 or shutil.which("apt-get") is None:
+            return
+        with (Path(tempfile.gettempdir()) / "kinecast-tests-apt.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # tests run in several processes, apt-get does not
+            for arguments in (("update",), ("install", "-y", "--no-install-recommends", *packages)):
+                subprocess.run(("apt-get", "-q", *arguments), capture_output=True, timeout=LONG, check=False)
+
+    return install

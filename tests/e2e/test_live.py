@@ -10,8 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,64 +30,11 @@ from kinecast.types import Status
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = ROOT / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
-COMMAND = (
-    sys.executable,
-    "-c",
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from kinecast.cli import main; main()",
-    "live",
-    "--model",
-    str(MODEL),
-    "--samples",
-    "50",
-)
 LONG = 240.0
 """Of a wait for another process, on however busy a machine [s]; most take a second."""
 
 
-@dataclass
-class Running:
-    """The command, and the addresses it printed."""
-
-    process: subprocess.Popen[str]
-    sources: list[str]
-    sinks: list[str]
-
-    def end(self, number: int = signal.SIGINT) -> str:
-        """What it prints when it is told to end."""
-        self.process.send_signal(number)
-        rest, _ = self.process.communicate(timeout=LONG)
-        assert self.process.returncode == 0, rest
-        assert "Traceback" not in rest
-        return rest
-
-
-Start = Callable[..., Running]
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    """start("--source", …) → Running."""
-    started: list[subprocess.Popen[str]] = []
-
-    def run(*arguments: str) -> Running:
-        process = subprocess.Popen(
-            (*COMMAND, *arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            )  # fmt: skip
-        started.append(process)
-        found: dict[str, list[str]] = {"source": [], "sink": []}
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line.startswith("Ctrl-C ends it"):
-                return Running(process, found["source"], found["sink"])
-            if match := re.match(r"(source|sink): (\S+)", line):
-                found[match[1]].append(match[2])
-        pytest.fail(f"it ended with {process.wait(LONG)} and no address")
-
-    yield run
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate(timeout=LONG)
+Start = Callable[..., Any]
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,6 @@ import base64
 import io
 import itertools
 import json
-import os
 import re
 import shutil
 import signal
@@ -50,15 +49,14 @@ def wait_for(what: str, look: Callable[[], Any]) -> Any:
 
 
 @pytest.fixture(scope="session")
-def chromium() -> str:
+def chromium(debian: Callable[..., None]) -> str:
     """The browser's program: one that is there, else Debian's."""
 
     def program() -> str | None:
         return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
-    if program() is None and os.geteuid() == 0 and shutil.which("apt-get"):
-        for arguments in (("update",), ("install", "-y", "--no-install-recommends", "chromium")):
-            subprocess.run(("apt-get", "-q", *arguments), capture_output=True, timeout=LONG, check=False)
+    if program() is None:
+        debian("chromium")
     found = program()
     if found is None:
         pytest.skip("no Chromium, and it could not be installed with apt-get")

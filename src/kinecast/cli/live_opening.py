@@ -28,10 +28,11 @@ __all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_sourc
 
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
-    "xsens://HOST:PORT?person=0 or realsense:SERIAL?model=FILE"
+    "xsens://HOST:PORT?person=0, realsense:SERIAL?model=FILE or ros1:/TOPIC?type=PoseArray"
 )
 REALSENSE_SETTINGS = ("model", "detector", "size", "rate", "tilt", "height", "camera")
-SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH or jsonl:PATH"
+SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH or ros1:/NAMESPACE"
+_ROS = ("ros1",)
 _FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
 
 
@@ -41,8 +42,8 @@ class Description:
 
     Attributes:
         text: as written.
-        kind: "recording", "ws", "udp", "xsens", "realsense", "mcap" or "jsonl".
-        place: a path, the address, or a camera's serial number.
+        kind: "recording", "ws", "udp", "xsens", "realsense", "mcap", "jsonl" or "ros1".
+        place: a path, the address, a camera's serial number, or a ROS name.
         settings: what stands behind the question mark.
     """
 
@@ -66,6 +67,12 @@ def read_source(text: str) -> Description:
     if text.startswith("realsense:"):
         place, _, query = text.removeprefix("realsense:").partition("?")
         return Description(text, "realsense", place, _settings(text, query, REALSENSE_SETTINGS))
+    if (kind := text.partition(":")[0]) in _ROS:
+        from kinecast.cli import live_ros  # here, since ROS is an extra
+
+        source = _ros(text, kind, live_ros.SOURCE_SETTINGS[kind])
+        live_ros.incoming(text, str(source.place), source.settings)
+        return source
     if not text.startswith("recording:"):
         return Description(text, "recording", Path(text), {})
     path, _, query = text.removeprefix("recording:").partition("?")
@@ -82,6 +89,12 @@ def read_sink(text: str) -> Description:
     if "://" in text:
         return _address(text, ("ws",), ("format",), wrong)
     kind, colon, path = text.partition(":")
+    if kind in _ROS:
+        from kinecast.cli import live_ros  # here, since ROS is an extra
+
+        sink = _ros(text, kind, live_ros.SINK_SETTINGS[kind])
+        live_ros.outgoing(text, str(sink.place), sink.settings)
+        return sink
     if not colon or kind not in _FILES or not path:
         raise OptionError(wrong)
     ending = _FILES[kind][1]
@@ -126,6 +139,10 @@ def _source(
         speed, repeat = (_number(source, name) for name in ("speed", "repeat"))
         frames = play(source.place)
         return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, int(repeat))
+    if source.kind in _ROS:
+        from kinecast.cli.live_ros import open_source
+
+        return open_source(source.text, source.kind, str(source.place), source.settings, mailbox.feed(source.text))
     if isinstance(source.place, str):
         return _realsense(source, source.place, mailbox, fused)
     feed = mailbox.feed(source.text)
@@ -178,6 +195,10 @@ def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink
     for each in sinks:
         if isinstance(each.place, Address):
             opened.append(WebSocketSink(each.place, network, each.settings.get("format") == "msgpack"))
+        elif isinstance(each.place, str):
+            from kinecast.cli.live_ros import open_sink
+
+            opened.append(open_sink(each.text, each.kind, each.place, each.settings))
     for each in sinks:
         if isinstance(each.place, Path):
             opened.append(_FILES[each.kind][0](each.place))
@@ -192,6 +213,11 @@ def _address(text: str, schemes: tuple[str, ...], settings: tuple[str, ...], wro
     if found.get("format", "json") not in ("json", "msgpack"):
         raise OptionError(f"{text}: format {found['format']}, allowed are json, msgpack")
     return Description(text, address.scheme, address, found)
+
+
+def _ros(text: str, kind: str, allowed: tuple[str, ...]) -> Description:
+    name, _, query = text.removeprefix(f"{kind}:").partition("?")
+    return Description(text, kind, name, _settings(text, query, allowed))
 
 
 def _settings(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]:

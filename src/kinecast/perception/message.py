@@ -17,7 +17,17 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("live streams", "live") from error
 
-__all__ = ["FARTHEST", "LARGEST_MESSAGE", "LATEST_STAMP", "LONGEST_NAME", "MOST_JOINTS", "MessageError", "decode"]
+__all__ = [
+    "FARTHEST",
+    "LARGEST_MESSAGE",
+    "LATEST_STAMP",
+    "LONGEST_NAME",
+    "MOST_JOINTS",
+    "MessageError",
+    "SkeletonMessage",
+    "decode",
+    "skeleton_frame",
+]
 
 LARGEST_MESSAGE = 65_536
 """Bytes of one message; 33 joints as JSON take about 3000."""
@@ -36,7 +46,7 @@ class MessageError(ValueError):
     """A message that is nobody; the text says what was found and what is allowed."""
 
 
-class _Message(msgspec.Struct, gc=False):
+class SkeletonMessage(msgspec.Struct, gc=False):
     """The fields of a message; unknown ones are passed over."""
 
     stamp: float
@@ -54,8 +64,8 @@ class _Message(msgspec.Struct, gc=False):
     confidence: list[float | None] | None = None
 
 
-_JSON = msgspec.json.Decoder(_Message)
-_MSGPACK = msgspec.msgpack.Decoder(_Message)
+_JSON = msgspec.json.Decoder(SkeletonMessage)
+_MSGPACK = msgspec.msgpack.Decoder(SkeletonMessage)
 _SKELETONS = {skeleton.name: skeleton for skeleton in SKELETONS}
 _CANONICAL = Skeleton("kinecast", JOINTS, {joint: joint for joint in JOINTS})
 
@@ -84,10 +94,16 @@ def decode(content: bytes | str) -> SkeletonFrame | View:
         raise MessageError(f"stamp {message.stamp:g} is no time in seconds")
     if (message.positions is None) == (message.pixels is None):
         raise MessageError("expected either positions or pixels")
-    return _frame(message, message.positions) if message.positions is not None else _view(message, message.pixels or [])
+    return _view(message, message.pixels) if message.pixels is not None else skeleton_frame(message)
 
 
-def _frame(message: _Message, positions: list[list[float | None]]) -> SkeletonFrame:
+def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
+    """The frame that a message's positions describe; see `decode`.
+
+    Raises:
+        MessageError: they describe none.
+    """
+    positions = message.positions or []
     rows = len(positions)
     if rows > MOST_JOINTS:
         raise MessageError(f"{rows} positions, at most {MOST_JOINTS} are taken")
@@ -107,7 +123,7 @@ def _frame(message: _Message, positions: list[list[float | None]]) -> SkeletonFr
     )
 
 
-def _view(message: _Message, rows: list[list[float | None] | None]) -> View:
+def _view(message: SkeletonMessage, rows: list[list[float | None] | None]) -> View:
     if len(rows) > MOST_JOINTS:
         raise MessageError(f"{len(rows)} pixels, at most {MOST_JOINTS} are taken")
     columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), len(rows))

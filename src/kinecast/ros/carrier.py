@@ -1,0 +1,184 @@
+"""A source and a sink over anything that carries ROS messages as bytes."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+from kinecast.live.publication import Publication
+from kinecast.live.tally import Tally
+from kinecast.perception.admission import Admission
+from kinecast.perception.mailbox import Feed
+from kinecast.perception.message import MessageError
+from kinecast.ros.incoming import Incoming
+from kinecast.ros.messages import Messages
+from kinecast.ros.outgoing import Outgoing, Posting
+
+__all__ = ["Carrier", "RosSink", "RosSource", "Taker"]
+
+Taker = Callable[[str, bytes], None]
+"""Takes a topic and the bytes of a message that came on it, in any thread."""
+LOOK = 0.5
+"""Longest wait before looking whether to end [s]."""
+
+log = logging.getLogger(__name__)
+
+
+class Carrier(Protocol):
+    """Carries bytes between topics.
+
+    Attributes:
+        messages: the definitions it speaks.
+    """
+
+    messages: Messages
+
+    def subscribe(self, topic: str, type_: str, take: Taker) -> None:
+        """Has `take` called with each message of a topic."""
+        ...
+
+    def advertise(self, topic: str, type_: str) -> None:
+        """Says that messages will come, so that those who wait for them get the first."""
+        ...
+
+    def publish(self, topic: str, type_: str, content: bytes) -> None:
+        """Sends a message on a topic, which need not be advertised.
+
+        Raises:
+            OSError: nothing can be sent any more.
+        """
+        ...
+
+    def now(self) -> float:
+        """The ROS clock [s]."""
+        ...
+
+    def close(self) -> None:
+        """Ends all that was opened."""
+        ...
+
+
+class RosSource:
+    """Skeletons from topics.
+
+    Args:
+        address: for messages.
+        feed: where frames go.
+        incoming: reads them.
+        carrier: is closed with the source.
+    """
+
+    def __init__(self, address: str, feed: Feed, incoming: Incoming, carrier: Carrier) -> None:
+        self.address = address
+        self._feed = feed
+        self._incoming = incoming
+        self._carrier = carrier
+        self._admission = Admission(feed)
+        self._lock = threading.Lock()
+
+    def start(self) -> None:
+        """Subscribes."""
+        for topic, type_ in self._incoming.topics.items():
+            self._carrier.messages.prepare(type_)
+            self._carrier.subscribe(topic, type_, self._take)
+
+    def close(self) -> None:
+        """Ends; no frame comes afterwards."""
+        self._carrier.close()
+
+    def _take(self, topic: str, content: bytes) -> None:
+        arrived = time.monotonic()
+        with self._lock:
+            for found in self._incoming.read_bytes(self._carrier.messages, topic, content):
+                try:
+                    if isinstance(found, MessageError):
+                        raise found
+                    self._admission.admit(found, self.address, arrived)
+                except MessageError as problem:
+                    self._feed.refuse(str(problem))
+
+
+class RosSink:
+    """Predictions on topics, from a thread of its own that also deletes what has expired.
+
+    Args:
+        address: for messages.
+        outgoing: makes the messages.
+        carrier: is closed with the sink.
+        room: publications that may wait; the oldest of more are dropped and counted.
+    """
+
+    def __init__(self, address: str, outgoing: Outgoing, carrier: Carrier, room: int) -> None:
+        self.address = address
+        self.tally = Tally()
+        self.failure: str | None = None
+        self._outgoing = outgoing
+        self._carrier = carrier
+        self._room = room
+        self._waiting: deque[Publication] = deque()
+        self._changed = threading.Condition()
+        self._ending = self._complained = False
+        for topic, type_ in outgoing.topics.items():
+            carrier.messages.prepare(type_)
+            carrier.advertise(topic, type_)
+        self._thread = threading.Thread(target=self._run, name=address, daemon=True)
+        self._thread.start()
+
+    def publish(self, publication: Publication) -> None:
+        """See kinecast.live.sinks.Sink."""
+        with self._changed:
+            if len(self._waiting) >= self._room:
+                self._waiting.popleft()
+                self.tally.dropped += 1
+            self._waiting.append(publication)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Sends what waits, deletes all that was drawn or put into a scene, and ends."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                if not self._waiting and not self._ending:
+                    self._changed.wait(min(max(self._outgoing.next_expiry - time.monotonic(), 0.0), LOOK))
+                publication = self._waiting.popleft() if self._waiting else None
+                ended = self._ending and publication is None
+            if publication is not None:
+                if self._send(self._told(publication)):
+                    self.tally.sent(time.monotonic() - publication.acquired)
+                else:
+                    self.tally.dropped += 1
+            self._send(self._outgoing.take_back(math.inf if ended else time.monotonic()))
+            if ended:
+                break
+        self._carrier.close()
+
+    def _told(self, publication: Publication) -> Iterator[Posting]:
+        yield from self._outgoing.tell(publication, time.monotonic(), self._carrier.now())
+
+    def _send(self, postings: Iterator[Posting]) -> bool:
+        """Whether it went well. After an error of the system nothing more is sent; any other costs this one."""
+        if self.failure is not None:
+            return False
+        try:
+            for each in postings:
+                self._carrier.publish(each.topic, each.type_, self._carrier.messages.encode(each.type_, each.fields))
+        except OSError as error:
+            self.failure = f"{self.address}: {error}"
+            log.error("%s: nothing more is sent", self.failure)
+        except Exception:
+            if not self._complained:
+                self._complained = True
+                log.exception("%s: a prediction could not be sent", self.address)
+        else:
+            return True
+        return False

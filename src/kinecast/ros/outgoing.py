@@ -1,0 +1,164 @@
+"""What a prediction is told as, on which topic, and when that is taken back."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from kinecast.errors import OptionError
+from kinecast.live.publication import Publication
+from kinecast.ros.planning_scene import CollisionObjects, SceneOptions, scene_diff
+from kinecast.ros.predictions import distribution, joint_pose, markers, no_markers, pose_array
+
+__all__ = ["OUTPUTS", "Outgoing", "OutputOptions", "Posting"]
+
+OUTPUTS = ("prediction", "markers", "poses", "planning_scene")
+PREDICTION = "kinecast_msgs/PredictedDistribution"
+MARKERS = "visualization_msgs/MarkerArray"
+SCENE = "moveit_msgs/PlanningScene"
+MOST_PERSONS = 64
+"""Persons with topics of their own, all through a run."""
+SAME_CLOCK = 60.0
+"""Stamps within so much [s] of the ROS clock are of that clock, and go out as they came."""
+AT_LEAST = 0.1
+"""How long anything stays [s]."""
+
+
+@dataclass(frozen=True)
+class Posting:
+    """A message for a topic.
+
+    Attributes:
+        topic: with its namespace.
+        type_: `package/Type`.
+        fields: see `Messages.encode`.
+    """
+
+    topic: str
+    type_: str
+    fields: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """What is sent, and where.
+
+    Attributes:
+        namespace: of all topics, such as `/kinecast`.
+        outputs: which of `OUTPUTS`.
+        planning_scene: topic of the planning scene; "" is below the namespace. MoveIt listens on `/planning_scene`.
+        scene: how tubes become collision objects.
+    """
+
+    namespace: str = "/kinecast"
+    outputs: tuple[str, ...] = OUTPUTS
+    planning_scene: str = ""
+    scene: SceneOptions = field(default_factory=SceneOptions)
+
+    def __post_init__(self) -> None:
+        for name in filter(None, (self.namespace, self.planning_scene)):
+            if not re.fullmatch(r"(/[A-Za-z][A-Za-z0-9_]*)+", name):
+                raise OptionError(f"{name!r} is no ROS name: expected /letters/and_digits")
+        unknown = [each for each in self.outputs if each not in OUTPUTS]
+        if unknown or not self.outputs:
+            raise OptionError(f"output {', '.join(unknown) or 'none'}: expected some of {', '.join(OUTPUTS)}")
+
+
+@dataclass
+class _Person:
+    token: str
+    frame: str
+    expires: float
+
+
+class Outgoing:
+    """Turns predictions into messages, and remembers what must be deleted.
+
+    All times are [s] on one clock of this machine that never jumps, but for `ros_now`.
+
+    Args:
+        options: see there.
+    """
+
+    def __init__(self, options: OutputOptions) -> None:
+        self._options = options
+        self._objects = CollisionObjects(options.scene)
+        self._persons: dict[tuple[str, str], _Person] = {}
+        self._tokens: dict[tuple[str, str], str] = {}
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Those that are there from the beginning, with their types; a person's own come with the person."""
+        types = {"prediction": PREDICTION, "markers": MARKERS, "planning_scene": SCENE}
+        return {
+            self._scene_topic if each == "planning_scene" else f"{self._options.namespace}/{each}": types[each]
+            for each in self._options.outputs
+            if each in types
+        }
+
+    def tell(self, publication: Publication, now: float, ros_now: float) -> Iterator[Posting]:
+        """Messages of a prediction; what it rests on has been acquired by `now`, on `Publication.acquired`'s clock."""
+        options, prediction = self._options, publication.prediction
+        stamp = _stamp(publication, now, ros_now)
+        horizon = float(prediction.times[-1] - prediction.stamp) if len(prediction.times) else 0.0
+        expires = max(publication.acquired + horizon, now + AT_LEAST)
+        token = self._token(publication.key)
+        self._persons[publication.key] = _Person(token, publication.frame.frame_id, expires)
+        if "prediction" in options.outputs:
+            yield self._posting("prediction", PREDICTION, distribution(publication, stamp))
+        if "markers" in options.outputs:
+            drawn = markers(publication, stamp, expires - now)
+            yield self._posting("markers", MARKERS, drawn)
+        if "poses" in options.outputs and token and len(prediction.times):
+            yield self._posting(f"{token}/poses", "geometry_msgs/PoseArray", pose_array(publication, stamp))
+            for joint, name in enumerate(prediction.joints):
+                if np.isfinite(prediction.mean[-1, joint]).all():
+                    fields = joint_pose(publication, stamp, joint)
+                    yield self._posting(f"{token}/{name}", "geometry_msgs/PoseWithCovarianceStamped", fields)
+        if "planning_scene" in options.outputs and token:
+            changes = self._objects.update(publication, token, stamp, now, expires)
+            yield from self._scene(changes + self._objects.remove(now))
+
+    def take_back(self, now: float) -> Iterator[Posting]:
+        """Messages that delete what has expired; inf takes back everything."""
+        for key, person in list(self._persons.items()):
+            if person.expires <= now:
+                del self._persons[key]
+                if "markers" in self._options.outputs:
+                    yield self._posting("markers", MARKERS, no_markers(key, person.frame))
+        yield from self._scene(self._objects.remove(now))
+
+    @property
+    def next_expiry(self) -> float:
+        """When something will have to be taken back; inf where there is nothing."""
+        return min((person.expires for person in self._persons.values()), default=math.inf)
+
+    @property
+    def _scene_topic(self) -> str:
+        return self._options.planning_scene or f"{self._options.namespace}/planning_scene"
+
+    def _scene(self, objects: list[dict[str, Any]]) -> Iterator[Posting]:
+        if objects:
+            yield Posting(self._scene_topic, SCENE, scene_diff(objects))
+
+    def _posting(self, topic: str, type_: str, fields: Mapping[str, Any]) -> Posting:
+        return Posting(f"{self._options.namespace}/{topic}", type_, fields)
+
+    def _token(self, key: tuple[str, str]) -> str:
+        """A person's name as part of a topic; "" where there have been too many persons."""
+        if key not in self._tokens and len(self._tokens) < MOST_PERSONS:
+            plain = re.sub(r"[^A-Za-z0-9]+", "_", key[1]).strip("_") or "0"
+            names = (f"person_{plain}", *(f"person_{plain}_{count}" for count in range(2, MOST_PERSONS + 2)))
+            self._tokens[key] = next(name for name in names if name not in self._tokens.values())
+        return self._tokens.get(key, "")
+
+
+def _stamp(publication: Publication, now: float, ros_now: float) -> float:
+    """When the frame was taken, on the ROS clock [s]."""
+    own = publication.prediction.stamp
+    return own if abs(own - ros_now) <= SAME_CLOCK else max(ros_now - (now - publication.acquired), 0.0)

@@ -1,0 +1,167 @@
+"""Persons as ROS4HRI (REP-155) has them: TF frames named after a body, or joint angles of its kinematic model.
+
+Source: https://www.ros.org/reps/rep-0155.html; proportions and axes of the model as in ros4hri/human_description,
+urdf/human-tpl.xacro.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.geometry.transforms import apply, rotation_x, rotation_y, rotation_z
+from kinecast.geometry.transforms import transform as rigid
+from kinecast.perception.message import MessageError, SkeletonMessage
+from kinecast.ros.frames import STALE, FrameTree, seconds
+from kinecast.ros.skeletons import MOST_PERSONS, UNSEEN, Position
+
+__all__ = ["BodyFrames", "body_joints", "from_joint_state"]
+
+_SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+FRAMES = {"body": "pelvis", "torso": "collar", "head": "head"} | {
+    f"{side[0]}_{joint}": f"{side}_{joint}" for side in ("left", "right") for joint in _SIDED
+}
+"""Frames of a body, without its id, and the joints at their origins."""
+_FRAME = re.compile(rf"({'|'.join(FRAMES)})_(.+)")
+_ARMS = tuple(frame for frame, joint in FRAMES.items() if joint in ARM_JOINTS)
+
+
+class BodyFrames:
+    """Skeletons from TF: one of a body whenever its arms' frames are all there for a new stamp.
+
+    A body whose frames come in several messages is complete with the last one; where one of them is missing, it
+    follows with the next stamp, the joint not seen.
+
+    Args:
+        tree: is kept up to date by others.
+        within: the frame positions are given in; None for the root of the body's tree.
+    """
+
+    def __init__(self, tree: FrameTree, within: str | None) -> None:
+        self._tree = tree
+        self._within = within
+        self._due: dict[str, float] = {}
+
+    def before(self, message: Any) -> list[SkeletonMessage]:
+        """Bodies that a tf2_msgs/TFMessage begins anew before they were complete; call it before the tree takes it."""
+        found = []
+        for body, stamp in _bodies(message).items():
+            if body in self._due and self._due[body] < stamp:
+                found.append(self._skeleton(body, self._due.pop(body)))
+        return found
+
+    def after(self, message: Any) -> list[SkeletonMessage]:
+        """Bodies that it completes; call it when the tree has taken it.
+
+        Raises:
+            MessageError: more than `MOST_PERSONS`.
+        """
+        found = []
+        for body, stamp in _bodies(message).items():
+            newest = [self._find(f"{arm}_{body}").newest for arm in _ARMS if f"{arm}_{body}" in self._tree]
+            if len(newest) == len(_ARMS) and min(newest) >= stamp:
+                self._due.pop(body, None)
+                found.append(self._skeleton(body, stamp))
+            elif len(self._due) < MOST_PERSONS or body in self._due:
+                self._due[body] = stamp
+            else:
+                raise MessageError(f"more than {MOST_PERSONS} bodies whose arms are not all there")
+        return found
+
+    def _find(self, frame: str) -> Any:
+        return self._tree.find(frame, self._within or self._tree.root(frame))
+
+    def _skeleton(self, body: str, stamp: float) -> SkeletonMessage:
+        positions: dict[str, Position] = dict.fromkeys(ARM_JOINTS, UNSEEN)
+        where = self._within or ""
+        for frame, joint in FRAMES.items():
+            name = f"{frame}_{body}"
+            if name in self._tree:
+                where = self._within or self._tree.root(name)
+                found = self._tree.find(name, where)
+                if found.oldest >= stamp - STALE:
+                    positions[joint] = found.T[:3, 3].tolist()
+        return SkeletonMessage(
+            stamp, list(positions.values()), joints=list(positions), person=body, frame_id=where or "world"
+        )
+
+
+def _bodies(message: Any) -> dict[str, float]:
+    """Bodies of which a message moves a frame, and the newest stamp of each [s]."""
+    bodies: dict[str, float] = {}
+    for each in message.transforms:
+        if match := _FRAME.fullmatch(each.child_frame_id.lstrip("/")):
+            bodies[match[2]] = max(bodies.get(match[2], -np.inf), seconds(each.header.stamp))
+    return bodies
+
+
+def from_joint_state(message: Any, tree: FrameTree, within: str | None, height: float) -> list[SkeletonMessage]:
+    """A person from a sensor_msgs/JointState and the frame `body_<id>`.
+
+    Args:
+        message: angles [rad] of joints named `<joint>_<id>`.
+        tree: where the body's frame is found.
+        within: the frame positions are given in; None for the root of the body's tree.
+        height: of the person [m].
+
+    Raises:
+        MessageError: names of no body or of several, an angle missing, or no recent frame of the body.
+    """
+    bodies = {match[1] for name in message.name if (match := re.fullmatch(r"[lr]_elbow_(.+)", name))}
+    if len(bodies) != 1 or len(message.position) != len(message.name):
+        raise MessageError("joint states of one body are expected: l_elbow_<id>, …, and a position for each")
+    (body,) = bodies
+    angles = dict(zip((name.removesuffix(f"_{body}") for name in message.name), message.position, strict=True))
+    stamp = seconds(message.header.stamp)
+    frame = f"body_{body}"
+    where = within or tree.root(frame)
+    found = tree.find(frame, where)
+    if frame not in tree or found.oldest < stamp - STALE:
+        raise MessageError(f"TF does not say where {frame!r} is")
+    joints = body_joints(angles, height)
+    positions: list[Position] = apply(found.T, np.stack(list(joints.values()))).tolist()
+    return [SkeletonMessage(stamp, positions, joints=list(joints), person=body, frame_id=where)]
+
+
+def body_joints(angles: Mapping[str, float], height: float) -> dict[str, Float[np.ndarray, "3"]]:
+    """Joints in the frame of a body [m], x forward, z up, by the kinematic model of ROS4HRI.
+
+    Args:
+        angles: of `waist` (0 where missing) and of both arms' `y_shoulder`, `p_shoulder`, `r_shoulder` and `elbow`,
+            with `l_` or `r_` before them [rad].
+        height: of the person [m]; all lengths are shares of it.
+
+    Raises:
+        MessageError: an arm's angle is missing.
+    """
+    unit = height / 7.5
+    joints = {"pelvis": np.zeros(3)}
+    torso = _turn(rotation_y(angles.get("waist", 0.0))) @ _move(z=2.75 * unit)
+    joints["collar"] = torso[:3, 3]
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        try:
+            yaw, pitch, roll, bend = (
+                angles[f"{side[0]}_{each}"] for each in ("y_shoulder", "p_shoulder", "r_shoulder", "elbow")
+            )
+        except KeyError as missing:
+            raise MessageError(f"joint states without {missing}") from None
+        turns = rotation_z(-sign * yaw) @ rotation_x(sign * pitch) @ rotation_z(sign * roll)
+        shoulder = torso @ _move(y=sign * 0.8 * unit) @ _turn(turns)
+        elbow = shoulder @ _move(z=-1.6 * unit) @ _turn(rotation_y(-bend))
+        wrist = elbow @ _move(z=-unit)
+        joints |= {f"{side}_shoulder": shoulder[:3, 3], f"{side}_elbow": elbow[:3, 3], f"{side}_wrist": wrist[:3, 3]}
+        joints[f"{side}_hip"] = np.array([0.0, sign * 0.6 * unit, 0.0])
+    return joints
+
+
+def _turn(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4 4"]:
+    return rigid(rotation, np.zeros(3))
+
+
+def _move(y: float = 0.0, z: float = 0.0) -> Float[np.ndarray, "4 4"]:
+    return rigid(np.eye(3), np.array([0.0, y, z]))

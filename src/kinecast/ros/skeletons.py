@@ -1,0 +1,135 @@
+"""Skeletons from PoseArray, MarkerArray and ZED messages: fields only, checked by `skeleton_frame` afterwards."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kinecast.body.skeleton import JOINTS, SKELETONS
+from kinecast.errors import OptionError
+from kinecast.perception.message import MOST_JOINTS, MessageError, SkeletonMessage
+from kinecast.ros.frames import point, seconds
+
+__all__ = ["MOST_PERSONS", "JointOrder", "from_markers", "from_poses", "from_zed"]
+
+MOST_PERSONS = 64
+"""In one message."""
+
+Position = list[float | None]
+UNSEEN: Position = [None, None, None]
+CUBE, SPHERE, SPHERE_LIST, POINTS = 1, 2, 7, 8
+"""Types of visualization_msgs/Marker that stand for joints."""
+DELETE, DELETEALL = 2, 3
+
+
+def _names(table: str) -> list[str]:
+    return table.split()
+
+
+# Sources: the ZED SDK's BODY_FORMAT, BODY_18_PARTS, BODY_34_PARTS and BODY_38_PARTS. A name that kinecast does not know
+# is left out.
+_ZED_18 = _names("""
+    nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist right_hip right_knee
+    right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear""")
+_ZED_34 = list(next(each for each in SKELETONS if each.name == "ZED 34").joints)
+_ZED_38 = _names("""
+    pelvis lumbar spine chest neck nose left_eye right_eye left_ear right_ear left_clavicle right_clavicle
+    left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hip right_hip left_knee right_knee
+    left_ankle right_ankle left_foot right_foot left_small_toe right_small_toe left_heel right_heel left_thumb
+    right_thumb left_index right_index left_middle right_middle left_pinky right_pinky""")
+_ZED_FORMATS = {0: _ZED_18, 1: _ZED_34, 2: _ZED_38}
+
+
+class JointOrder:
+    """Which joint the k-th position of a message is of.
+
+    Args:
+        text: a skeleton's name, such as `COCO 17`, or joints with commas between them; unknown ones are left out.
+
+    Raises:
+        OptionError: it is neither.
+    """
+
+    def __init__(self, text: str) -> None:
+        skeleton = next((each for each in SKELETONS if each.name == text), None)
+        self.skeleton = None if skeleton is None else text
+        self.names = list(skeleton.joints) if skeleton else [name.strip() for name in text.split(",")]
+        if skeleton is None and not set(self.names) & set(JOINTS):
+            known = ", ".join(each.name for each in SKELETONS)
+            raise OptionError(f"joints {text!r}: expected a skeleton ({known}) or joints such as left_wrist,left_elbow")
+
+
+def from_poses(message: Any, order: JointOrder, person: str) -> list[SkeletonMessage]:
+    """One person from a geometry_msgs/PoseArray: a pose a joint, in a stated order."""
+    positions = [point(pose.position) for pose in message.poses]
+    return [_skeleton(message.header, positions, order.names, person)]
+
+
+def from_markers(message: Any, order: JointOrder | None) -> list[SkeletonMessage]:
+    """Every person in a visualization_msgs/MarkerArray.
+
+    A person's markers have one namespace: either a sphere or cube for each joint, whose id is its place in the stated
+    order or whose text is its name, or one list of spheres or points in that order. Without a namespace, id // 100 is
+    the person and id % 100 the place, as Azure Kinect's driver has it. Other markers are passed over.
+
+    Raises:
+        MessageError: nothing says which joint a marker is of, or a person's markers are in several frames.
+    """
+    persons: dict[str, dict[str, Position]] = {}
+    headers: dict[str, Any] = {}
+    for marker in message.markers:
+        if marker.action in (DELETE, DELETEALL) or marker.type not in (CUBE, SPHERE, SPHERE_LIST, POINTS):
+            continue
+        person = marker.ns or str(marker.id // 100)
+        if headers.setdefault(person, marker.header).frame_id != marker.header.frame_id:
+            raise MessageError(f"markers of person {person!r} are in several frames")
+        joints = persons.setdefault(person, {})
+        if marker.type in (SPHERE_LIST, POINTS):
+            joints |= {_named(order, "", place): point(each) for place, each in enumerate(marker.points)}
+        else:
+            place = marker.id if marker.ns else marker.id % 100
+            joints[_named(order, marker.text, place)] = point(marker.pose.position)
+    if len(persons) > MOST_PERSONS or any(len(joints) > MOST_JOINTS for joints in persons.values()):
+        raise MessageError(f"more than {MOST_PERSONS} persons or {MOST_JOINTS} joints")
+    found = []
+    for person, joints in persons.items():
+        names = order.names if order else list(joints)
+        found.append(_skeleton(headers[person], [joints.get(name, UNSEEN) for name in names], names, person))
+    return found
+
+
+def from_zed(message: Any) -> list[SkeletonMessage]:
+    """Every tracked person in a zed_interfaces/ObjectsStamped or zed_msgs/ObjectsStamped: 18, 34 or 38 keypoints.
+
+    Raises:
+        MessageError: a body format that is none of these.
+    """
+    if len(message.objects) > MOST_PERSONS:
+        raise MessageError(f"{len(message.objects)} objects, at most {MOST_PERSONS} are taken")
+    found = []
+    for body in message.objects:
+        if not body.skeleton_available or body.tracking_state == 0:
+            continue
+        points = body.skeleton_3d.keypoints
+        names = _ZED_18 if len(points) == len(_ZED_18) else _ZED_FORMATS.get(body.body_format)
+        if names is None:
+            raise MessageError(f"body format {body.body_format} of a ZED camera; 18, 34 and 38 keypoints are known")
+        positions: list[Position] = [[float(value) for value in each.kp] for each in points[: len(names)]]
+        found.append(_skeleton(message.header, positions, names, str(body.label_id)))
+    return found
+
+
+def _named(order: JointOrder | None, text: str, place: int) -> str:
+    if text in JOINTS:
+        return text
+    if order is None:
+        raise MessageError(
+            "nothing says which joint a marker is of: state joints, or give each its joint's name as text"
+        )
+    if not 0 <= place < len(order.names):
+        raise MessageError(f"marker {place} is outside the {len(order.names)} joints that were stated")
+    return order.names[place]
+
+
+def _skeleton(header: Any, positions: list[Position], names: list[str], person: str) -> SkeletonMessage:
+    frame = header.frame_id.lstrip("/") or "world"
+    return SkeletonMessage(seconds(header.stamp), positions, joints=names, person=person, frame_id=frame)
