@@ -28,11 +28,12 @@ __all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_sourc
 
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
-    "xsens://HOST:PORT?person=0, realsense:SERIAL?model=FILE or ros1:/TOPIC?type=PoseArray"
+    "xsens://HOST:PORT?person=0, realsense:SERIAL?model=FILE, "
+    "ros1:, ros2: or dds:/TOPIC?type=PoseArray, bag:PATH?topic=/TOPIC"
 )
 REALSENSE_SETTINGS = ("model", "detector", "size", "rate", "tilt", "height", "camera")
-SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH or ros1:/NAMESPACE"
-_ROS = ("ros1",)
+SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
+_ROS = ("ros1", "ros2", "dds")
 _FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
 
 
@@ -42,7 +43,8 @@ class Description:
 
     Attributes:
         text: as written.
-        kind: "recording", "ws", "udp", "xsens", "realsense", "mcap", "jsonl" or "ros1".
+        kind: "recording", "ws", "udp", "xsens", "realsense", "mcap", "jsonl", "ros1", "ros2", "dds" or
+            "bag".
         place: a path, the address, a camera's serial number, or a ROS name.
         settings: what stands behind the question mark.
     """
@@ -67,6 +69,11 @@ def read_source(text: str) -> Description:
     if text.startswith("realsense:"):
         place, _, query = text.removeprefix("realsense:").partition("?")
         return Description(text, "realsense", place, _settings(text, query, REALSENSE_SETTINGS))
+    if text.startswith("bag:"):
+        from kinecast.cli.live_ros import BAG_SETTINGS
+
+        path, _, query = text.removeprefix("bag:").partition("?")
+        return Description(text, "bag", Path(path), _settings(text, query, BAG_SETTINGS))
     if (kind := text.partition(":")[0]) in _ROS:
         from kinecast.cli import live_ros  # here, since ROS is an extra
 
@@ -94,6 +101,12 @@ def read_sink(text: str) -> Description:
 
         sink = _ros(text, kind, live_ros.SINK_SETTINGS[kind])
         live_ros.outgoing(text, str(sink.place), sink.settings)
+        return sink
+    if kind == "bag":
+        from kinecast.cli import live_ros
+
+        sink = _ros(text, kind, live_ros.BAG_SINK_SETTINGS)
+        live_ros.outgoing(text, sink.settings.get("namespace", ""), sink.settings)
         return sink
     if not colon or kind not in _FILES or not path:
         raise OptionError(wrong)
@@ -137,7 +150,7 @@ def _source(
 ) -> Source:
     if isinstance(source.place, Path):
         speed, repeat = (_number(source, name) for name in ("speed", "repeat"))
-        frames = play(source.place)
+        frames = _bag(source) if source.kind == "bag" else play(source.place)
         return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, int(repeat))
     if source.kind in _ROS:
         from kinecast.cli.live_ros import open_source
@@ -153,6 +166,12 @@ def _source(
     _deliverer(source, feed, fused)
     admission = Admission(feed, fused, source.settings.get("camera", ""))
     return (WebSocketSource if source.kind == "ws" else UdpSource)(source.place, feed, network, admission)
+
+
+def _bag(source: Description) -> list[SkeletonFrame]:
+    from kinecast.cli.live_ros import bag_frames
+
+    return bag_frames(source.text, Path(str(source.place)), source.settings)
 
 
 def _realsense(source: Description, place: str, mailbox: Mailbox, fused: FusedSource | None) -> Source:
@@ -198,9 +217,14 @@ def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink
         elif isinstance(each.place, str):
             from kinecast.cli.live_ros import open_sink
 
-            opened.append(open_sink(each.text, each.kind, each.place, each.settings))
+            if each.kind != "bag":
+                opened.append(open_sink(each.text, each.kind, each.place, each.settings))
     for each in sinks:
-        if isinstance(each.place, Path):
+        if each.kind == "bag":
+            from kinecast.cli.live_ros import open_bag_sink
+
+            opened.append(open_bag_sink(each.text, Path(str(each.place)), each.settings))
+        elif isinstance(each.place, Path):
             opened.append(_FILES[each.kind][0](each.place))
 
 

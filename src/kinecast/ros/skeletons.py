@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kinecast.body.skeleton import JOINTS, SKELETONS
+from kinecast.body.skeleton import ARM_JOINTS, JOINTS, SKELETONS
 from kinecast.errors import OptionError
 from kinecast.perception.message import MOST_JOINTS, MessageError, SkeletonMessage
 from kinecast.ros.frames import point, seconds
@@ -92,7 +92,7 @@ def from_markers(message: Any, order: JointOrder | None) -> list[SkeletonMessage
         raise MessageError(f"more than {MOST_PERSONS} persons or {MOST_JOINTS} joints")
     found = []
     for person, joints in persons.items():
-        names = order.names if order else list(joints)
+        names = order.names if order else list(dict.fromkeys((*joints, *ARM_JOINTS)))
         found.append(_skeleton(headers[person], [joints.get(name, UNSEEN) for name in names], names, person))
     return found
 
