@@ -10,6 +10,7 @@ from typing import Any
 import tyro
 
 from kinecast import __version__
+from kinecast.cli.calibrate import calibrate
 from kinecast.cli.convert import convert
 from kinecast.cli.demo import demo
 from kinecast.cli.download import download
@@ -33,6 +34,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "evaluate": evaluate,
     "predict": predict,
     "live": live,
+    "calibrate": calibrate,
     "simulate": simulate,
 }
 

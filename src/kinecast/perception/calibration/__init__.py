@@ -1,0 +1,1 @@
+"""Where cameras stand, from pictures of a printed board."""
