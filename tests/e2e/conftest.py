@@ -141,7 +141,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:
             said.append(line)
             if line.startswith("Ctrl-C ends it"):
                 return Running(process, found["source"], found["sink"])
-            if match := re.match(r"(source|sink): (.+)", line):
+            if match := re.match(r"(source|sink): (\S+)", line):
                 found[match[1]].append(match[2])
         pytest.fail(f"it ended with {process.wait(LONG)} and no address: {''.join(said)}")
 

@@ -49,10 +49,11 @@ def say(line):
 def heard(message, topic):
     if isinstance(message, rospy.AnyMsg):
         header = message._connection_header
-        if topic not in classes:
-            name = header["type"]
-            classes[topic] = genpy.dynamic.generate_dynamic(name, header["message_definition"])[name]
-            assert classes[topic]._md5sum == header["md5sum"]
+        with lock:  # genpy makes one class at a time
+            if topic not in classes:
+                name = header["type"]
+                classes[topic] = genpy.dynamic.generate_dynamic(name, header["message_definition"])[name]
+                assert classes[topic]._md5sum == header["md5sum"]
         message = classes[topic]().deserialize(message._buff)
     say({"topic": topic, "type": message._type, "md5": message._md5sum, "message": plain(message)})
 
