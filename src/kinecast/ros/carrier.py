@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
@@ -29,6 +29,7 @@ LOOK = 0.5
 log = logging.getLogger(__name__)
 
 
+@runtime_checkable
 class Carrier(Protocol):
     """Carries bytes between topics.
 

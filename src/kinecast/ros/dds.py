@@ -14,7 +14,7 @@ from typing import Any
 
 from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct, make_idl_struct, types
+from cyclonedds.idl import make_idl_struct, types
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -120,7 +120,7 @@ def _bytes_class(messages: Messages, type_: str) -> Any:
     def initialise(self: Any, content: bytes = b"") -> None:
         self.content = content
 
-    struct: Any = idl_type(messages, type_, {})
+    struct = idl_type(messages, type_, {})
     struct.__init__ = initialise
     struct.serialize = lambda self, *_, **__: self.content
     struct.deserialize = struct.deserialize_key = classmethod(lambda class_, data, *_, **__: class_(bytes(data)))
@@ -196,7 +196,7 @@ def _configuration(network: str) -> str | None:
       </Domain></CycloneDDS>"""
 
 
-def idl_type(messages: Messages, type_: str, known: dict[str, type[IdlStruct]]) -> type[IdlStruct]:
+def idl_type(messages: Messages, type_: str, known: dict[str, Any]) -> Any:
     """CycloneDDS's type of a message.
 
     Args:
@@ -212,7 +212,7 @@ def idl_type(messages: Messages, type_: str, known: dict[str, type[IdlStruct]]) 
     return known[name]
 
 
-def _field(messages: Messages, known: dict[str, type[IdlStruct]], node: Nodetype, kind: Any) -> Any:
+def _field(messages: Messages, known: dict[str, Any], node: Nodetype, kind: Any) -> Any:
     if node == Nodetype.NAME:
         return idl_type(messages, kind, known)
     if node == Nodetype.BASE:
