@@ -6,11 +6,13 @@ Nothing in a bag is trusted: messages are read by this project's own definitions
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import Writer as Writer1
@@ -111,14 +113,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, tuple[Messages, ...]]]:
         raise DatasetError(path, f"no bag that can be read ({type(error).__name__}: {str(error)[:200]})") from None
 
 
-def _format(distribution: Distribution, storage: str) -> dict[str, Any]:
-    if storage not in STORAGES:
-        raise OptionError(f"storage {storage!r}: expected {' or '.join(STORAGES)}")
-    return {"version": 8 if distribution is Distribution.HUMBLE else 9, "storage_plugin": STORAGES[storage]}
-
-
 class BagWriter:
-    """Writes messages into a bag: a Carrier that only publishes.
+    """Writes messages into a bag: a Carrier that only publishes. It is opened by the thread that writes first.
 
     Args:
         path: a file that ends in `.bag` for ROS 1, else a folder for ROS 2; neither may be there.
@@ -126,7 +122,7 @@ class BagWriter:
         storage: of ROS 2, one of `STORAGES`.
 
     Raises:
-        OptionError: there is something at the path, or it cannot be written.
+        OptionError: there is something at the path, no folder for it, or an unknown storage.
     """
 
     def __init__(self, path: Path, distribution: Distribution, storage: str) -> None:
@@ -134,21 +130,24 @@ class BagWriter:
         self.messages = messages_of(Distribution.NOETIC if first else distribution)
         if path.exists():
             raise OptionError(f"{path}: is there already; a bag is never replaced")
-        try:
-            self._writer: Any = Writer1(path) if first else Writer2(path, **_format(distribution, storage))
-            self._writer.open()
-        except OSError as error:
-            raise OptionError(f"{path}: cannot be written ({error.strerror or error})") from None
+        if not os.access(path.absolute().parent, os.W_OK | os.X_OK):
+            raise OptionError(f"{path}: there is no folder {path.absolute().parent} that can be written to")
+        if not first and storage not in STORAGES:
+            raise OptionError(f"storage {storage!r}: expected {' or '.join(STORAGES)}")
+        version: Literal[8, 9] = 8 if distribution is Distribution.HUMBLE else 9
+        self._make = (
+            partial(Writer1, path)
+            if first
+            else partial(Writer2, path, version=version, storage_plugin=STORAGES[storage])
+        )
+        self._writer: Any = None
         self._connections: dict[str, Any] = {}
 
     def subscribe(self, topic: str, type_: str, take: Taker) -> None:
         """See Carrier; nothing comes."""
 
     def advertise(self, topic: str, type_: str) -> None:
-        """See Carrier."""
-        if topic not in self._connections:
-            store = self.messages.store
-            self._connections[topic] = self._writer.add_connection(topic, normalize_msgtype(type_), typestore=store)
+        """See Carrier; a topic is in the bag once it has a message."""
 
     def publish(self, topic: str, type_: str, content: bytes) -> None:
         """See Carrier; it is written as received now."""
@@ -160,8 +159,14 @@ class BagWriter:
         Args:
             topic, type_, content: see Carrier.
             received: when [s].
+
+        Raises:
+            OSError: the bag cannot be written.
         """
-        self.advertise(topic, type_)
+        self._open()
+        if topic not in self._connections:
+            store = self.messages.store
+            self._connections[topic] = self._writer.add_connection(topic, normalize_msgtype(type_), typestore=store)
         self._writer.write(self._connections[topic], math.floor(received * 1e9), content)
 
     def now(self) -> float:
@@ -170,4 +175,10 @@ class BagWriter:
 
     def close(self) -> None:
         """Makes the bag whole."""
+        self._open()
         self._writer.close()
+
+    def _open(self) -> None:
+        if self._writer is None:
+            self._writer = self._make()
+            self._writer.open()

@@ -94,6 +94,12 @@ class RosSource:
 
     def _take(self, topic: str, content: bytes) -> None:
         arrived = time.monotonic()
+        try:
+            self._admit(topic, content, arrived)
+        except Exception as error:  # in a thread of the carrier's, which must go on
+            self._feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
+
+    def _admit(self, topic: str, content: bytes, arrived: float) -> None:
         with self._lock:
             for found in self._incoming.read_bytes(self._carrier.messages, topic, content):
                 try:
@@ -161,7 +167,10 @@ class RosSink:
             self._send(self._outgoing.take_back(math.inf if ended else time.monotonic()))
             if ended:
                 break
-        self._carrier.close()
+        try:
+            self._carrier.close()
+        except Exception as error:
+            self.failure = self.failure or f"{self.address}: {error}"
 
     def _told(self, publication: Publication) -> Iterator[Posting]:
         yield from self._outgoing.tell(publication, time.monotonic(), self._carrier.now())

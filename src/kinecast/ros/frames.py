@@ -128,6 +128,7 @@ def _transform(message: Any, child: str) -> Float[np.ndarray, "4 4"]:
     xyz = np.array(point(message.translation), dtype=np.float64)
     turn = message.rotation
     wxyz = np.array([turn.w, turn.x, turn.y, turn.z])
-    if not (np.isfinite(xyz).all() and np.abs(xyz).max() <= FARTHEST and 0.99 < np.linalg.norm(wxyz) < 1.01):
+    whole = np.abs(xyz).max() <= FARTHEST and np.abs(wxyz).max() <= 1.01  # not of a NaN
+    if not (whole and 0.99 < np.linalg.norm(wxyz) < 1.01):
         raise MessageError(f"the transform of {child!r} is none: its quaternion's length must be 1")
     return rigid(from_quaternion(wxyz / np.linalg.norm(wxyz)), xyz)
