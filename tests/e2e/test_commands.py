@@ -339,6 +339,20 @@ class TestConvert:
         assert lost == ["name", "format", "subject", "task", "note"]
         assert "jsonl, 150 frames, 5.0 s at 30 Hz" in kinecast("info", tmp_path / "a.jsonl").out
 
+    @pytest.mark.parametrize("ending", [".bag", ".rosbag2"])
+    def test_a_bag_keeps_what_the_prediction_needs(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path, ending: str
+    ) -> None:
+        outcome = kinecast("convert", tables[0], tmp_path / f"a{ending}")
+        assert outcome.code == 0, outcome.err
+        lost = [line.split(":")[1].strip() for line in outcome.out.splitlines()[1:]]
+        assert lost == ["name", "format", "subject", "task", "labels", "note", "stamps"]
+        assert re.search(r"stamps: moved by up to [3-5]\S*e-10 s", outcome.out)
+        assert "bag, 150 frames, 5.0 s at 30 Hz" in kinecast("info", tmp_path / f"a{ending}").out
+        assert kinecast("convert", tmp_path / f"a{ending}", tmp_path / "b.csv").code == 0
+        before, after = table.load(tables[0])[0], table.load(tmp_path / "b.csv")[0]
+        np.testing.assert_array_equal(after.positions, before.positions)
+
     def test_orientations_of_a_vicon_take_are_said_to_be_lost(
         self, kinecast: Kinecast, data_root: Path, tmp_path: Path
     ) -> None:
@@ -355,7 +369,7 @@ class TestConvert:
         refusals = {
             there: "is there already; --force replaces it",
             tmp_path / "a.bvh": "cannot be written; BVH holds the rotations",
-            tmp_path / "a.xyz": "must end in .parquet or .csv or .mcap or .jsonl",
+            tmp_path / "a.xyz": "must end in .parquet or .csv or .mcap or .jsonl or .bag or .rosbag2",
             tables[0]: "is what is to be converted",
         }
         for target, reason in refusals.items():

@@ -32,7 +32,7 @@ def convert(
 
     Args:
         source: a recording, of one person or of several at the same time.
-        target: the file to write, ending in .parquet, .csv, .mcap or .jsonl.
+        target: the file to write, ending in .parquet, .csv, .mcap, .jsonl or .bag, or a folder ending in .rosbag2.
         force: replace a file that is there.
         format: read the recording as this format instead of finding it by content.
     """
@@ -50,7 +50,8 @@ def convert(
         with progress_bar("writing"):
             WRITERS[target.suffix](written, recordings)
         lost = differences(recordings, load_all([written], more=MORE_FORMATS))
-        written.chmod(0o644)
+        if written.is_file():
+            written.chmod(0o644)
         written.replace(target)
     frames, persons = sum(len(each.stamps) for each in recordings), len(recordings)
     print(f"{target}: {frames} frames of {persons} person{'s' * (persons != 1)}")
