@@ -384,6 +384,36 @@ class TestConvert:
         assert there.read_text() != "mine"
 
 
+class TestOwnMethod:
+    """The method of examples/own_method.py, by name."""
+
+    @pytest.fixture(autouse=True)
+    def _found(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.syspath_prepend(EXAMPLES)
+
+    @pytest.mark.usefixtures("no_drawing")
+    def test_is_scored_beside_others(self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path) -> None:
+        methods = "own_method:fit,zero_velocity"
+        command = ["evaluate", "--train", tables[0], "--test", tables[1], "--methods", methods, *QUICK]
+        outcome = kinecast(*command, "--out", tmp_path)
+        assert outcome.code == 0
+        found = scores(tmp_path)["methods"]
+        assert list(found) == ["own_method:fit", "zero_velocity"]
+        assert found["own_method:fit"]["mpjpe_mm"] < found["zero_velocity"]["mpjpe_mm"]
+        assert 0.6 < found["own_method:fit"]["coverage"]["0.9"] <= 1.0
+
+    def test_predicts_frame_by_frame(self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path) -> None:
+        out = tmp_path / "out.parquet"
+        assert kinecast("predict", tables[0], "--model", "own_method:trained", "--samples", 20, "--out", out).code == 0
+        assert len(read_rows(out).stamp) > 100 * 15 * 6
+
+    def test_one_that_is_not_there_is_named(
+        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        outcome = kinecast("predict", tables[0], "--model", "own_method:no", "--out", tmp_path / "out.csv")
+        assert (outcome.code, outcome.err) == (2, "kinecast: own_method:no: own_method has no function no\n")
+
+
 class TestPredict:
     def test_every_frame_gets_its_rows(
         self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path

@@ -19,6 +19,7 @@ from kinecast.prediction.forecast import Method
 from kinecast.prediction.horizon.ablation import ablations
 from kinecast.prediction.horizon.method import Horizon
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
+from kinecast.prediction.outside import is_outside, trained_outside_on
 from kinecast.tasks.workers import Workers
 
 __all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known", "with_ablations"]
@@ -42,13 +43,15 @@ class Contestants:
 
 
 def method_names(text: str) -> list[str]:
-    """Names with commas between them, each once.
+    """Names with commas between them, each once; MODULE:FUNCTION is one too.
 
     Raises:
         OptionError: one of them is no method.
     """
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    check_names(names)
+    own = [name for name in names if not is_outside(name)]
+    if own or not names:
+        check_names(own)
     return names
 
 
@@ -60,16 +63,18 @@ def train_methods(
     seed: int,
     workers: Workers,
 ) -> Contestants:
-    """Methods trained on every window of recordings, as `kinecast train` does.
+    """Methods trained on every window of recordings, as `kinecast train` does; those from elsewhere in this process.
 
     Raises:
-        DatasetError, ModelError, OptionError: too few windows.
+        DatasetError, ModelError, OptionError: too few windows, or what a function gives is no method.
     """
     with progress_bar("cutting windows") as progress:
         data = training_windows(recordings, options, scene, progress, workers)
     settings = TrainingOptions(seed=seed)
+    methods = {name: trained_outside_on(name, data) for name in names if is_outside(name)}
     with progress_bar("training") as progress:
-        methods = train(names, data, settings, progress, workers)
+        methods |= train([name for name in names if name not in methods], data, settings, progress, workers)
+    methods = {name: methods[name] for name in names}
     return Contestants(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
 
 

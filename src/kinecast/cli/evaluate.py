@@ -70,8 +70,8 @@ def evaluate(
         test: recordings, or folders of them, to be scored on.
         out: folder for the results; made where missing.
         train: recordings, or folders of them, to train on; those that are test recordings too are left out.
-        model: saved models to score, instead of training.
-        methods: names of methods to train, with commas.
+        model: saved models to score, instead of training; MODULE:FUNCTION gives your own method (docs/predictor.md).
+        methods: names of methods to train, with commas; MODULE:FUNCTION makes your own of training windows.
         rate: frames per second.
         window: how much is observed.
         horizon: how much is predicted.

@@ -57,7 +57,7 @@ def live(
             (docs/mocap.md); without a HOST only this machine is heard. realsense:SERIAL?model=FILE is a camera
             (docs/cameras.md).
         sinks: ws://HOST:PORT to send predictions to all who connect, mcap:FILE for Foxglove, jsonl:FILE.
-        model: a model file.
+        model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles and goals, a YAML file.
         rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
         samples: motions drawn per prediction.

@@ -58,7 +58,7 @@ MethodNames = Annotated[
     str,
     arg(
         metavar="NAME,NAME,...",
-        help=f"methods to train:{_METHODS}",
+        help=f"methods to train:{_METHODS}\nor MODULE:FUNCTION, your own (docs/predictor.md)",
         help_behavior_hint=lambda default: f"\n(default: {default.replace(',', ', ')})",
     ),
 ]

@@ -42,7 +42,7 @@ def predict(
         out: the table to write, ending in .parquet or .csv, with a row per frame, predicted instant and joint:
             `made` is the frame's stamp, `stamp` the predicted instant, `x, y, z` the mean and `sxx … szz` the
             covariance, `label` the prediction's status.
-        model: a model file.
+        model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles, a YAML file.
         samples: motions drawn per prediction.
         seed: of the draws.

@@ -40,7 +40,8 @@ PredictorName = Annotated[
     arg(
         metavar="NAME",
         help="kinecast, gp_constrained, zero_velocity: shipped models; reachable: all the person can reach; "
-        "oracle: what will happen; none: measured distances alone.",
+        "oracle: what will happen; none: measured distances alone; "
+        "MODULE:FUNCTION: your own method (docs/predictor.md).",
     ),
 ]
 OutFolder = Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint=f"(default: {OUT})")]

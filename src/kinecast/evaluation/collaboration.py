@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +14,10 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic import Fetch, fetching
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import inverse
-from kinecast.prediction.methods import shipped_methods
+from kinecast.prediction.checkpoint import ModelCard
+from kinecast.prediction.forecast import Method
+from kinecast.prediction.methods import read_method, shipped_methods
+from kinecast.prediction.outside import is_outside
 from kinecast.prediction.predictor import Predictor, PredictorOptions
 from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell, standing_at
@@ -167,17 +171,24 @@ class Forecasters:
     def __init__(self, samples: int = 200) -> None:
         self._options = PredictorOptions(samples=samples)
         self._card, self._methods = shipped_methods()
+        self._outside: dict[str, tuple[ModelCard, Method]] = {}
 
     def make(self, name: str, people: Sequence[Person]) -> Predict:
         """A predictor that has seen nothing yet.
 
         Args:
-            name: one of PREDICTORS.
+            name: one of PREDICTORS, or MODULE:FUNCTION that gives a trained method.
             people: the truth, for the oracle.
 
         Raises:
             OptionError: another name.
+            ModelError: what the function gives is no method.
         """
+        if is_outside(name):
+            if name not in self._outside:
+                self._outside[name] = read_method(Path(name))
+            card, method = self._outside[name]
+            return Predictor(method, card.noise, None, self._options).observe
         if name in self._methods:
             return Predictor(self._methods[name], self._card.noise, None, self._options).observe
         if name == "reachable":
@@ -237,7 +248,7 @@ def simulate_scenario(
 
     Args:
         name: of the scenario.
-        predictor: one of PREDICTORS.
+        predictor: one of PREDICTORS, or MODULE:FUNCTION that gives a trained method.
         seed: of the person and the camera.
         forecasters: makes the predictor.
         person: instead of the scripted one.

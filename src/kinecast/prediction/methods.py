@@ -30,6 +30,7 @@ from kinecast.prediction.horizon.training import HorizonOptions, fit_actions, fi
 from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
+from kinecast.prediction.outside import is_outside, trained_outside
 from kinecast.prediction.paper import PositionSeries, PostureSeries
 from kinecast.tasks.workers import Progress, Serial, Workers, given
 
@@ -113,7 +114,8 @@ def train(
         OptionError: an unknown name.
         ModelError: too few windows.
     """
-    check_names(names)
+    if names:
+        check_names(names)
     if len(windows) < 50:
         raise ModelError(f"{len(windows)} training windows; at least 50 are needed")
     workers = workers or Serial()
@@ -263,11 +265,15 @@ def save_method(path: Path, card: ModelCard, method: Method) -> None:
 
 
 def read_method(path: Path) -> tuple[ModelCard, Method]:
-    """The card and the method of a model file.
+    """The card and the method of a model file, or of a function MODULE:FUNCTION that gives a trained method.
 
     Raises:
-        ModelError: not a model of this kinecast.
+        ModelError: not a model of this kinecast, or no method.
+        OptionError: no such function.
     """
+    if is_outside(str(path)):
+        method = trained_outside(str(path))
+        return ModelCard(str(path), method.frames, method.steps, 1.0 / method.dt), method
     card, arrays = read_checkpoint(path)
     if card.method not in METHODS:
         raise ModelError(f"{path}: method {card.method!r}; this kinecast knows {', '.join(METHODS)}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import pickle
 import platform
 import uuid
 from collections.abc import Callable, Iterator, Sequence
@@ -20,11 +21,12 @@ import numba
 from threadpoolctl import threadpool_info
 
 from kinecast.errors import ClusterError, MissingExtraError, OptionError
-from kinecast.tasks.workers import Progress, alone
+from kinecast.tasks.workers import CARRIED, Progress, alone
 
 try:
+    import cloudpickle
     import dask
-    from distributed import Client, KilledWorker, LocalCluster, as_completed
+    from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("clusters", "cluster") from error
 
@@ -54,21 +56,39 @@ class Cluster:
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """See Workers."""
+        for module in CARRIED:
+            cloudpickle.register_pickle_by_value(module)
         name = getattr(function.func if isinstance(function, partial) else function, "__name__", "task")
         key = f"{name.strip('_')}-{uuid.uuid4().hex}"
-        future = self.client.submit(_on_a_core, function, *arguments, key=key, pure=False)
+        future = self.client.submit(_on_a_core, *map(_packed, (function, *arguments)), key=key, pure=False)
         self._waiting.append(future)
         return future
+
+    def _as_completed(self, futures: Sequence[Any]) -> Iterator[Any]:
+        """Each future once it is done.
+
+        Raises:
+            ClusterError: no worker is left to do the rest.
+        """
+        rest = dict.fromkeys(futures)
+        while rest:
+            try:
+                for future in as_completed(list(rest), loop=self.client.loop, timeout=PATIENCE):
+                    del rest[future]
+                    yield future
+            except TimeoutError:
+                if not self.client.scheduler_info(n_workers=-1)["workers"]:
+                    raise ClusterError(f"no worker is left; {len(rest)} tasks are not done") from None
 
     def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
         """See Workers.
 
         Raises:
-            ClusterError: the scheduler is gone, or workers died again and again under a task.
+            ClusterError: the scheduler is gone, or no worker is left, or workers died again and again under a task.
         """
         waiting, self._waiting = self._waiting, []
         try:
-            for done, future in enumerate(as_completed(waiting, loop=self.client.loop), 1):
+            for done, future in enumerate(self._as_completed(waiting), 1):
                 if future.status != "finished":
                     future.result()  # raises what the task raised
                 if progress:
@@ -143,9 +163,35 @@ def worker_count(where: str) -> int | None:
     return None
 
 
-def _on_a_core(function: Callable[..., Any], *arguments: Any) -> Any:
+class _Packed:
+    """A pickled value. A worker that cannot unpickle what comes is lost to Dask; a task that cannot just fails."""
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+
+
+def _packed(value: Any) -> Any:
+    """A value for the way, but for what stands for other tasks."""
+    if isinstance(value, Future):
+        return value
+    if isinstance(value, list):
+        return [_packed(each) for each in value]
+    return _Packed(cloudpickle.dumps(value))
+
+
+def _unpacked(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_unpacked(each) for each in value]
+    return pickle.loads(value.content) if isinstance(value, _Packed) else value
+
+
+def _on_a_core(*call: Any) -> Any:
     """A task on a worker: all of it in one thread."""
     numba.set_num_threads(1)
+    try:
+        function, *arguments = map(_unpacked, call)
+    except ImportError as error:
+        raise ClusterError(f"a worker lacks something: {error}") from error
     return alone(function, *arguments)
 
 

@@ -8,12 +8,16 @@ the task's own place (`generator`). Their order then does not matter, nor where 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-__all__ = ["Progress", "Serial", "Workers", "alone", "generator", "given"]
+__all__ = ["CARRIED", "Progress", "Serial", "Workers", "alone", "generator", "given"]
+
+CARRIED: set[ModuleType] = set()
+"""Modules of the user's own, whose code travels with tasks: workers elsewhere may not have them."""
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) tasks."""

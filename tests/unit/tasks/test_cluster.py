@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import operator
 import os
 import signal
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -106,6 +109,38 @@ def test_a_task_that_kills_its_workers_is_given_up(cluster: Cluster) -> None:
     deadly = cluster.submit(os._exit, 1)
     with pytest.raises(ClusterError, match="workers died under the task exit"):
         cluster.results([deadly])
+
+
+class Foreign:
+    """Cannot be unpickled on a worker."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return importlib.import_module, ("no_such_module",)
+
+
+def test_what_a_worker_lacks_is_said(cluster: Cluster) -> None:
+    with pytest.raises(ClusterError, match="a worker lacks something: No module named 'no_such_module'"):
+        cluster.results([cluster.submit(given, Foreign())])
+    assert cluster.results([cluster.submit(given, 5)]) == [5]
+
+
+def test_modules_of_the_users_own_travel(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "only_here.py").write_text("factor = 3\ndef triple(x):\n    return factor * x\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("only_here")
+    monkeypatch.setattr("kinecast.tasks.cluster.CARRIED", {module})
+    assert cluster.results([cluster.submit(module.triple, 14)]) == [42]
+
+
+def test_without_workers_nothing_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = {"processes": False, "n_workers": 1, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(**place) as local, cluster_at(local.scheduler_address) as emptied:
+        monkeypatch.setattr("kinecast.tasks.cluster.PATIENCE", 0.2)
+        local.scale(0)
+        while emptied.client.scheduler_info(n_workers=-1)["workers"]:
+            time.sleep(0.02)
+        with pytest.raises(ClusterError, match="no worker is left; 1 tasks are not done"):
+            emptied.results([emptied.submit(given, 1)])
 
 
 def test_a_scheduler_has_an_address(cluster: Cluster) -> None:

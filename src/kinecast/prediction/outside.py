@@ -1,0 +1,115 @@
+"""Methods from elsewhere, named MODULE:FUNCTION: imported, called, and held to what every method must do.
+
+Naming one runs its code, as Python's own `-m` does; nothing in a model file ever is.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from kinecast.errors import ModelError, OptionError
+from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with
+from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.tasks.workers import CARRIED
+
+__all__ = ["is_outside", "trained_outside", "trained_outside_on"]
+
+NAME = re.compile(r"[\w.]+:[^\W\d]\w*")
+SAMPLES = 8
+STANDING = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
+"""(6, 3) somebody who stands [m]."""
+
+
+def is_outside(name: str) -> bool:
+    """Whether a name is MODULE:FUNCTION, and no file."""
+    return NAME.fullmatch(name) is not None and not os.path.exists(name)
+
+
+def trained_outside(name: str) -> Method:
+    """What a function without arguments gives: a trained method.
+
+    Args:
+        name: MODULE:FUNCTION; the working folder is searched after everything installed.
+
+    Raises:
+        OptionError: there is no such function.
+        ModelError: what it gives is no method, or breaks what a method must do.
+    """
+    return _checked(_function(name)(), name)
+
+
+def trained_outside_on(name: str, windows: TrainingWindows) -> Method:
+    """What a function makes of training windows: a method for windows like them.
+
+    Args:
+        name: MODULE:FUNCTION; the working folder is searched after everything installed.
+        windows: to train on.
+
+    Raises:
+        OptionError, ModelError: as `trained_outside`; or it is for other windows.
+    """
+    method = _function(name)(windows)
+    frames, steps, dt = windows.shape
+    if isinstance(method, Method) and (
+        (method.frames, method.steps) != (frames, steps) or abs(method.dt / dt - 1) > 1e-6
+    ):
+        found = f"{method.frames} frames, {method.steps} steps, {method.dt:g} s"
+        raise ModelError(f"{name}: is for {found}; trained on {frames} frames, {steps} steps, {dt:g} s")
+    return _checked(method, name)
+
+
+def _function(name: str) -> Callable[..., Any]:
+    place, _, function = name.partition(":")
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    try:
+        module = importlib.import_module(place)
+    except ImportError as error:
+        raise OptionError(f"{name}: {error}") from error
+    CARRIED.add(module)
+    found = getattr(module, function, None)
+    if not callable(found):
+        raise OptionError(f"{name}: {place} has no function {function}")
+    return found
+
+
+def _checked(method: object, name: str) -> Method:
+    """A method whose forecast of somebody who stands is what a forecast must be.
+
+    Raises:
+        ModelError: it is not.
+    """
+    if not isinstance(method, Method):
+        wanted = "frames, steps, dt, forecast and to_arrays"
+        raise ModelError(f"{name}: gave {type(method).__name__}, which lacks one of {wanted}")
+    steps = method.steps
+    window = np.repeat(STANDING[None], method.frames, axis=0)
+    observation = Observation(window, np.array([0.0, 0.0, 1.0]), method.dt)
+    memory = None
+    if isinstance(method, Follower):
+        memory = method.memory()
+        method.follow(memory, observation, window[-1])
+    forecast, again = (
+        forecast_with(method, memory, observation, np.random.default_rng(0), SAMPLES, None) for _ in range(2)
+    )
+    if not isinstance(forecast, Forecast):
+        raise ModelError(f"{name}: forecast gave {type(forecast).__name__}, expected kinecast's Forecast")
+    log_prob = np.asarray(forecast.density.log_prob(forecast.mean))
+    for what, found, shape in (
+        ("samples", forecast.samples, (SAMPLES, steps, 6, 3)),
+        ("mean", forecast.mean, (steps, 6, 3)),
+        ("accepted", forecast.accepted, (steps,)),
+        ("density.log_prob(mean)", log_prob, (steps,)),
+    ):
+        if np.shape(found) != shape or not np.isfinite(found).all():
+            raise ModelError(f"{name}: {what} of shape {np.shape(found)}, expected {shape}, all of it finite")
+    if not np.array_equal(forecast.samples, again.samples):
+        raise ModelError(f"{name}: equal generators give unequal samples; take all randomness from rng")
+    return method
