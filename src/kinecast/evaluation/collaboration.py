@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.datasets.recording import Recording
+from kinecast.datasets.repair import repair
 from kinecast.datasets.synthetic import Fetch, fetching
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import inverse
@@ -109,6 +110,9 @@ def generated_person(seed: int, cell: Cell, duration: float = 40.0) -> PlayedPer
 def replayed_person(recording: Recording, cell: Cell, start: float = 0.0) -> PlayedPerson:
     """A recorded person, so placed that they mostly stand where somebody at the table stands, and look at the arm.
 
+    Jumps of the tracking (kinecast.datasets.repair) are no motion: a shoulder that is half a metre away for one frame
+    would be a person whom no arm can keep its distance from.
+
     Args:
         recording: of one person, z up [m].
         cell: where they are to stand.
@@ -117,6 +121,7 @@ def replayed_person(recording: Recording, cell: Cell, start: float = 0.0) -> Pla
     Raises:
         OptionError: the shoulders are never seen.
     """
+    recording, _ = repair(recording)
     left, right = recording.joint("left_shoulder"), recording.joint("right_shoulder")
     seen = np.isfinite(left + right).all(axis=1)
     if not seen.any():

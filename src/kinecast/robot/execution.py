@@ -2,7 +2,9 @@
 
 The arm stays on the planned path whatever the speed: only the path's clock s runs slower. With q(s) the path,
 q̇ = q' ṡ, q̈ = q'' ṡ² + q' s̈, q⃛ = q''' ṡ³ + 3 q'' ṡ s̈ + q' s⃛; s̈ and s⃛ are kept so small that all three stay within the
-arm's limits for every ṡ in [0, 1]. Where the arm is not on a new trajectory, ruckig leads over to it.
+arm's limits for every ṡ that may come (to brake, with a jerk of its own: `UR5.stop_jerk`), on the piece of the path
+where the arm can be while ṡ changes: a motion that is slow, or still speeding up, brakes harder than one at its
+fastest. Where the arm is not on a new trajectory, ruckig leads over to it.
 """
 
 from __future__ import annotations
@@ -31,6 +33,8 @@ SLOWEST = 1e-3
 """Speed [rad/s] from which on a motion's clock is limited by it."""
 GENTLEST = 0.5
 """Change of the clock's rate [1/s] that is always left."""
+FORESIGHT = 0.35
+"""The clock's rate changes, or comes to rest, within so long on the motion [s]."""
 STEEPEST = (50.0, 2000.0)
 """Changes of the clock's rate that are never needed [1/s, 1/s^2]: a motion that hardly moves would allow any."""
 
@@ -69,7 +73,7 @@ class Executor:
         self._clock = _Clock()
         self._pace = ruckig.Ruckig(1)
         self._change = ruckig.Trajectory(1)
-        self._steepest = STEEPEST
+        self._passed = 0.0  # duration of the motions that are behind [s]
         self._scale = 1.0
 
     @property
@@ -107,7 +111,8 @@ class Executor:
         else:
             self._motions = [_Bridge(self._state(), start, self._limits), path]
             self._clock = _Clock(0.0, 1.0, 0.0)
-        self._steepest = _steepest(self._motions, self._limits)
+        self._passed = 0.0
+        self._bounds = _ClockBounds(self._motions, self.arm)
 
     def step(self, scale: float = 1.0) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
         """Where the arm should be one step of the loop later.
@@ -123,6 +128,7 @@ class Executor:
             self._clock = self._later(self._clock, self._scale)
             while self._motions and self._clock.s >= self._motions[0].duration - 1e-9:
                 passed = self._motions.pop(0)
+                self._passed += passed.duration
                 self._clock = _Clock(self._clock.s - passed.duration, self._clock.rate, self._clock.change)
                 if not self._motions:
                     self.q, self.qd, self.qdd = passed.derivatives(passed.duration)[0], np.zeros(6), np.zeros(6)
@@ -158,7 +164,8 @@ class Executor:
             [clock.s], [clock.rate], [clock.change],
         )  # fmt: skip
         wish.target_velocity, wish.target_acceleration = [scale], [0.0]
-        wish.max_acceleration, wish.max_jerk = [self._steepest[0]], [self._steepest[1]]
+        change, jerk = self._bounds.at(self._passed + clock.s, clock.rate, scale < clock.rate)
+        wish.max_acceleration, wish.max_jerk = [change], [jerk]
         self._pace.calculate(wish, self._change)
         (later,), (rate,), (change,) = self._change.at_time(self.dt)
         return _Clock(max(later, clock.s), min(max(rate, 0.0), 1.0), change)
@@ -191,10 +198,10 @@ class _Path:
         """Angles and their first two derivatives by the clock."""
         return self.trajectory.derivatives(self.trajectory.times[0] + min(s, self.duration))[:3]
 
-    def peaks(self) -> np.ndarray:
-        """(M, 3, 6) sizes of the first three derivatives at M instants."""
-        times = np.linspace(self.trajectory.times[0], self.trajectory.times[-1], 200)
-        return np.abs(np.stack(self.trajectory.derivatives(times)[1:], axis=1))
+    def profile(self) -> tuple[np.ndarray, np.ndarray]:
+        """M instants (M,) and the first three derivatives there (M, 3, 6)."""
+        since = np.linspace(0.0, self.duration, 200)
+        return since, np.stack(self.trajectory.derivatives(self.trajectory.times[0] + since)[1:], axis=1)
 
 
 class _Bridge:
@@ -225,21 +232,42 @@ class _Bridge:
         q, first, second = (np.array(part) for part in self._way.at_time(min(s, self.duration)))
         return q, first, second
 
-    def peaks(self) -> np.ndarray:
-        """(M, 3, 6) sizes of the first three derivatives at M instants; ruckig's jerk is always the greatest."""
-        parts = [self.derivatives(s)[1:] for s in np.linspace(0.0, self.duration, 100)]
-        return np.abs([[first, second, self._jerk] for first, second in parts])
+    def profile(self) -> tuple[np.ndarray, np.ndarray]:
+        """M instants (M,) and the first three derivatives there (M, 3, 6); ruckig's jerk is always the greatest."""
+        since = np.linspace(0.0, self.duration, 100)
+        return since, np.array([[*self.derivatives(s)[1:], self._jerk] for s in since])
 
 
-def _steepest(motions: list[_Path | _Bridge], limits: Float[np.ndarray, "3 6"]) -> tuple[float, float]:
-    """Greatest s̈ and s⃛ at which acceleration and jerk stay within the limits all along the motions."""
-    speed, acceleration, jerk = np.moveaxis(np.concatenate([motion.peaks() for motion in motions]), 1, 0)
-    speed = np.maximum(speed, SLOWEST)
-    left = np.maximum(limits[2] - jerk, 0.0)
-    # What jerk is left is halved between 3 q'' s̈ and q' s⃛.
-    change = min(
-        float(((limits[1] - acceleration) / speed).min()),
-        float((left / (6.0 * np.maximum(acceleration, SLOWEST))).min()),
-    )
-    change = min(max(change, GENTLEST), STEEPEST[0])
-    return change, min(max(float((0.5 * left / speed).min()), 4 * GENTLEST), STEEPEST[1])
+class _ClockBounds:
+    """Greatest sizes of s̈ and s⃛ at which acceleration and jerk stay within the limits.
+
+    Args:
+        motions: one after another.
+        arm: its limits.
+    """
+
+    def __init__(self, motions: list[_Path | _Bridge], arm: UR5) -> None:
+        profiles = [motion.profile() for motion in motions]
+        begins = np.cumsum([0.0, *(motion.duration for motion in motions[:-1])])
+        self._since = np.concatenate([begin + since for begin, (since, _) in zip(begins, profiles, strict=True)])
+        first, self._second, third = np.moveaxis(np.concatenate([parts for _, parts in profiles]), 1, 0)
+        self._speed = np.maximum(np.abs(first), SLOWEST)
+        self._speeding_up = np.sign(first) * self._second  # below 0 where the motion itself slows down
+        self._jerk = np.abs(third)
+        self._acceleration, self._max_jerk, self._stop_jerk = arm.max_acceleration, arm.max_jerk, arm.stop_jerk
+
+    def at(self, since: float, rate: float, braking: bool) -> tuple[float, float]:
+        """From so long after the first motion's start [s] on, at a rate of the clock: s̈ [1/s] and s⃛ [1/s²]."""
+        first = max(int(np.searchsorted(self._since, since)) - 1, 0)
+        piece = slice(first, int(np.searchsorted(self._since, since + FORESIGHT)) + 1)
+        speed, along = self._speed[piece], self._speeding_up[piece]
+        # While it brakes the rate falls, and a motion that speeds up helps; while it does not, the rate may rise to 1.
+        in_use = -np.minimum(along, 0.0) * rate**2 if braking else np.maximum(along, 0.0)
+        left = np.maximum((self._stop_jerk if braking else self._max_jerk) - self._jerk[piece], 0.0)
+        # What jerk is left is halved between 3 q'' ṡ s̈ and q' s⃛.
+        change = min(
+            float(((self._acceleration - in_use) / speed).min()),
+            float((left / (6.0 * np.maximum(np.abs(self._second[piece]), SLOWEST))).min()),
+        )
+        change = min(max(change, GENTLEST), STEEPEST[0])
+        return change, min(max(float((0.5 * left / speed).min()), 4 * GENTLEST), STEEPEST[1])

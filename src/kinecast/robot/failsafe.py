@@ -23,7 +23,8 @@ class FailsafeOptions:
 
     Attributes:
         reaction: until the next decision [s]: one camera period and a control cycle.
-        stopping: from full speed to rest [s]; less in proportion from a lower one.
+        stopping: from full speed to rest [s], the longest of `Executor.stopping` in the cell; less in proportion from a
+            lower speed.
         clearance: kept from the occupied region [m].
         speeds: shares of the planned speed to choose from, falling.
         foresight: who may be on the way within this long makes the arm slower already [s] …
@@ -31,7 +32,7 @@ class FailsafeOptions:
     """
 
     reaction: float = 0.04
-    stopping: float = 0.25
+    stopping: float = 0.2
     clearance: float = 0.01
     speeds: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12, 0.05)
     foresight: float = 0.45

@@ -3,8 +3,9 @@
     S_p = S_h + S_r + S_s + C + Z_d + Z_r
 
 S_h = v_h (T_a + T_r + T_s) the person's way until the arm stands, S_r = v_r T_r the arm's way before it brakes,
-S_s = v_r² / 2a while it brakes, T_s = v_r / a. v_h and v_r are the speeds of the nearest points towards one another.
-For a distance d this is a quadratic in v_r: its root is the speed the arm may have.
+S_s = v_r² / 2a while it brakes, T_s = v_r / a. v_h and v_r are the speeds of the nearest points towards one another;
+part of the arm's speed across counts as v_r, since its way bends (docs/decisions/0021). For a distance d this is a
+quadratic in v_r: its root is the speed the arm may have.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class SeparationOptions:
         person_error: Z_d, of a measured joint [m].
         robot_error: Z_r [m]. UR5: repeatability 0.1 mm; its calibration to the camera counts.
         oldest: a measurement older than this does not say how fast the person is [s].
+        across: share of the arm's speed across the line between the nearest points that counts as towards the person.
     """
 
     reaction: float = 0.03
@@ -45,12 +47,13 @@ class SeparationOptions:
     person_error: float = 0.02
     robot_error: float = 0.005
     oldest: float = 0.1
+    across: float = 0.3
 
     def __post_init__(self) -> None:
         for name in ("reaction", "braking", "unknown_speed", "oldest"):
             if not getattr(self, name) > 0:
                 raise OptionError(f"{name} {getattr(self, name)} must be above 0")
-        for name in ("least_speed", "intrusion", "person_error", "robot_error"):
+        for name in ("least_speed", "intrusion", "person_error", "robot_error", "across"):
             if not getattr(self, name) >= 0:
                 raise OptionError(f"{name} {getattr(self, name)} must be 0 or more")
 
@@ -101,6 +104,7 @@ def separation(
     result = _separation(
         *arm, *arm_velocity, *person, *person_velocity, age,
         o.reaction, o.braking, o.unknown_speed, o.least_speed, o.constant, o.oldest,
+        o.across,
     )  # fmt: skip
     distance, required, margin, scale, link = result
     return Separation(float(distance), float(required), float(margin), float(scale), int(link))
@@ -136,7 +140,7 @@ def closest_points(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarra
 @njit(cache=True)
 @no_type_check
 def _separation(
-    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, age, reaction, braking, unknown, least, constant, oldest
+    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, age, reaction, braking, unknown, least, constant, oldest, across
 ):  # fmt: skip
     nearest, worst, required, scale, link = np.inf, np.inf, 0.0, 1.0, -1
     for i in range(len(ar)):
@@ -150,13 +154,15 @@ def _separation(
             if not way >= 0.0:  # NaN
                 continue
             distance = way - ar[i] - br[j]
-            robot = human = 0.0
+            robot = human = speed = 0.0
             for k in range(3):
                 direction = gap[k] / max(way, 1e-9)
                 robot += direction * ((1 - s) * va0[i, k] + s * va1[i, k])
+                speed += ((1 - s) * va0[i, k] + s * va1[i, k]) ** 2
                 human -= direction * ((1 - t) * vb0[j, k] + t * vb1[j, k])
             if not abs(human) < np.inf or age[j] > oldest:
                 human = unknown
+            robot += across * math.sqrt(max(speed - robot * robot, 0.0))
             human, robot = max(human, least), max(robot, 0.0)
             fixed = constant + human * (age[j] + reaction)
             needed = fixed + human * robot / braking + robot * reaction + robot * robot / (2 * braking)

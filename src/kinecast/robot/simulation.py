@@ -84,7 +84,7 @@ class Simulation:
         self.desk = DeferredDesk(solve or planner_of(Planner(self.arm, self.cell.scene, QUICK)), latency, clock)
         self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
         self.episode = Episode()
-        self._truth = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0)
+        self._truth = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0, across=0.0)
 
     def _start(self) -> Float[np.ndarray, "6"]:
         """Where the arm rests: elbow up, over the table's side."""

@@ -29,6 +29,9 @@ MAX_ACCELERATION = 10.0
 """[rad/s^2]: the manufacturer gives none; the time parametrisation of its ROS 2 driver's MoveIt setup assumes this."""
 MAX_JERK = 200.0
 """[rad/s^3]: the manufacturer gives none; full acceleration within 0.05 s, six of the controller's 125 Hz steps."""
+STOP_JERK = 625.0
+"""[rad/s^3] while it brakes: full deceleration within two of these steps. The manufacturer's own stops are harder: 3.19
+rad/s to rest in 0.244 s on average, fully stretched and loaded (base; UR5/CB3 user manual 3.4.5, appendix A.1)."""
 SPACING = 1.3
 """Largest distance of body points along a capsule's axis, in its radii: halfway between two points the capsule's
 surface stands out from their balls by 0.24 radii, 0.014 m at most."""
@@ -73,6 +76,7 @@ class UR5:
         T_world_base: (4, 4).
         q_range: (6, 2) least and greatest angle [rad].
         max_speed: (6,) [rad/s]; max_acceleration: (6,) [rad/s^2]; max_jerk: (6,) [rad/s^3].
+        stop_jerk: (6,) that it may brake with [rad/s^3].
         joint_origins: (6, 3, 4) each joint's frame in its parent's (kinecast.robot.kinematics).
         capsule_sites: (2 L, 3) ends of the capsules in their joints' frames [m], all starts first.
         capsule_joint: (L,) joint that moves each capsule.
@@ -94,6 +98,7 @@ class UR5:
         self.max_speed = np.array(self.model.velocityLimit)
         self.max_acceleration = np.full(6, MAX_ACCELERATION)
         self.max_jerk = np.full(6, MAX_JERK)
+        self.stop_jerk = np.full(6, STOP_JERK)
         self.joint_origins = np.stack([placement.homogeneous[:3] for placement in self.model.jointPlacements[1:]])
         self.base_rows = np.ascontiguousarray(self.T_world_base[:3])
 

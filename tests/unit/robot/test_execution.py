@@ -32,13 +32,14 @@ def run(executor: Executor, scale: Callable[[int], float], most: int = 2000) -> 
     return np.array(states)
 
 
-def assert_within_limits(arm: UR5, states: np.ndarray) -> None:
+def assert_within_limits(arm: UR5, states: np.ndarray, braked: bool = False) -> None:
     q, qd, qdd = states[:, 0], states[:, 1], states[:, 2]
     assert (np.abs(qd) <= arm.max_speed + 1e-9).all()
     assert (np.abs(qdd) <= arm.max_acceleration + 1e-9).all()
     assert (np.abs(np.diff(q, axis=0)) <= DT * arm.max_speed + 1e-9).all()
     assert (np.abs(np.diff(qd, axis=0)) <= DT * arm.max_acceleration + 1e-9).all()
-    assert (np.abs(np.diff(qdd, axis=0)) <= DT * arm.max_jerk + 1e-9).all()
+    jerk = arm.stop_jerk if braked else arm.max_jerk
+    assert (np.abs(np.diff(qdd, axis=0)) <= DT * jerk + 1e-9).all()
 
 
 def off_the_path(states: np.ndarray, trajectory: Trajectory) -> float:
@@ -73,18 +74,34 @@ def test_whatever_the_speed_it_stays_on_the_path_and_within_the_limits(arm: UR5,
     executor = Executor(arm, DT, HOME)
     executor.follow(path())
     states = run(executor, scale)
-    assert executor.done
-    assert_within_limits(arm, states)
+    assert_within_limits(arm, states, braked=True)
     assert off_the_path(states, path()) < 2e-3
+    # It brakes harder than it speeds up: where every other step says stop, it all but stands.
+    fluttering = scale(0) != scale(1) and scale(1) == 1.0
+    assert executor.done != fluttering
+    assert not fluttering or np.abs(states[-1, 1]).max() < 0.1
 
 
-def test_it_brakes_within_a_third_of_a_second_on_the_path(arm: UR5) -> None:
+@pytest.mark.parametrize("steps", range(5, 220, 15))
+def test_it_brakes_within_a_quarter_of_a_second_wherever_it_is(arm: UR5, steps: int) -> None:
+    executor = Executor(arm, DT, HOME)
+    executor.follow(path())
+    for _ in range(steps):
+        executor.step(1.0)
+    states = [executor.step(0.0)]
+    while np.abs(states[-1][1]).max() > 1e-3:
+        states.append(executor.step(0.0))
+    assert len(states) * DT < 0.25
+    assert_within_limits(arm, np.array(states), braked=True)
+
+
+def test_it_brakes_on_the_path(arm: UR5) -> None:
     executor = Executor(arm, DT, HOME)
     executor.follow(path())
     for _ in range(110):
         executor.step(1.0)
     expected, seconds = executor.stopping()
-    assert seconds < 0.35
+    assert seconds < 0.25
     states = np.array([executor.step(0.0) for _ in range(60)])
     np.testing.assert_allclose(states[-1, 0], expected, atol=1e-6)
     assert np.abs(states[-1, 1]).max() < 1e-6
@@ -124,7 +141,7 @@ def test_from_anywhere_else_it_is_led_to_the_start(arm: UR5) -> None:
     executor.follow(path(HOME + 0.1, HOME - 0.5))
     assert executor.progress < 0
     states = np.array(first + list(run(executor, lambda k: 0.5 if k % 50 < 20 else 1.0)))
-    assert_within_limits(arm, states)
+    assert_within_limits(arm, states, braked=True)
     np.testing.assert_allclose(states[-1, 0], HOME - 0.5, atol=1e-9)
 
 
@@ -132,7 +149,7 @@ def test_a_trajectory_too_fast_for_the_arm_is_followed_more_slowly(arm: UR5) -> 
     executor = Executor(arm, DT, HOME)
     executor.follow(path(seconds=0.3))
     states = run(executor, lambda k: 0.0 if 20 < k < 40 else 1.0)
-    assert_within_limits(arm, states)
+    assert_within_limits(arm, states, braked=True)
     np.testing.assert_allclose(states[-1, 0], END, atol=1e-9)
 
 

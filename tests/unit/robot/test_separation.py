@@ -8,7 +8,7 @@ import pytest
 from kinecast.errors import OptionError
 from kinecast.robot.separation import Separation, SeparationOptions, closest_points, separation
 
-OPTIONS = SeparationOptions()
+OPTIONS = SeparationOptions(across=0.0)  # the plain formula
 
 
 def pair(
@@ -63,6 +63,24 @@ def test_a_person_nearer_than_the_constant_terms_stops_the_arm_unless_it_draws_b
 def test_who_is_not_seen_often_enough_counts_as_fast() -> None:
     assert pair(0.5, 0.5, 0.0, age=0.2).required == pytest.approx(needed(0.5, 1.6, 0.2))
     assert pair(0.5, 0.5, np.nan).required == pytest.approx(needed(0.5, 1.6))
+
+
+@pytest.mark.parametrize("distance", [0.02, 0.3])
+def test_a_share_of_the_speed_across_counts_as_towards_the_person(distance: float) -> None:
+    start, end, radius = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0.1])
+    away, still = np.array([[distance + 0.2, 0.0, 0.0]]), np.zeros((1, 3))
+
+    def moving(velocity: tuple[float, float, float]) -> Separation:
+        arm = np.array([velocity])
+        return separation(
+            (start, end, radius), (arm, arm), (start + away, end + away, radius), (still, still), np.zeros(1),
+            SeparationOptions(),
+        )  # fmt: skip
+
+    towards = moving((0.3 * 0.8, 0.0, 0.0))
+    assert moving((0.0, 0.8, 0.0)).required == pytest.approx(towards.required)
+    assert moving((0.0, 0.8, 0.0)).scale == pytest.approx(towards.scale)
+    assert moving((-0.3 * 0.8, 0.8, 0.0)).scale == 1.0  # drawing back more than across
 
 
 def test_who_stands_still_may_start() -> None:
