@@ -55,8 +55,9 @@ def live(
         sources: a recording's path, recording:PATH?speed=2&repeat=1 to play it faster or again, ws://HOST:PORT or
             udp://HOST:PORT to listen for skeletons (docs/live.md), xsens://HOST:9763?person=0 for Xsens MVN
             (docs/mocap.md); without a HOST only this machine is heard. realsense:SERIAL?model=FILE is a camera
-            (docs/cameras.md).
-        sinks: ws://HOST:PORT to send predictions to all who connect, mcap:FILE for Foxglove, jsonl:FILE.
+            (docs/cameras.md); ros1:, ros2: or dds:/TOPIC?type=PoseArray and bag:PATH are ROS (docs/ros.md).
+        sinks: ws://HOST:PORT to send predictions to all who connect, mcap:FILE for Foxglove, jsonl:FILE, ros1:, ros2:
+            or dds:/NAMESPACE, bag:PATH.
         model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles and goals, a YAML file.
         rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
