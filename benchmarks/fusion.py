@@ -1,6 +1,7 @@
 """Three cameras into one skeleton: error, hidden joints, crossings, lag and time, beside each camera and an average.
 
 python -m benchmarks.fusion --data FOLDER [--takes N] [--seconds S] [--crossings N] [--seed N] [--tuning] [--out JSON]
+    [--picture PNG]
 
 Recorded Vicon motions are seen by rendered cameras (benchmarks/fusion_views.py). --tuning takes the recordings that the
 constants of the fusion were chosen on; without it others are used, and other seeds.
@@ -21,7 +22,7 @@ from benchmarks import machine
 from benchmarks.fusion_views import Body, Faults, Image, disturbed, images, rig
 from kinecast.datasets.loading import load
 from kinecast.perception.fusion.fusion import Fusion
-from kinecast.perception.fusion.sighting import FLESH
+from kinecast.perception.fusion.sighting import DEEP, FLESH
 from kinecast.perception.rig import Rig
 from kinecast.types import SkeletonFrame
 
@@ -34,6 +35,8 @@ SAME = 0.5
 PELVIS = 0.95
 SETTLED = 0.5
 ARMS = ("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist")
+APART = 10
+"""Images between two places that are compared for the lag."""
 SHIFTS = np.arange(-0.060, 0.1201, 0.002)
 
 
@@ -66,6 +69,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--picture", type=Path)
     arguments = parser.parse_args()
     before = machine.facts()
     result = run(
@@ -79,6 +83,8 @@ def main() -> None:
     print("time", result["time"])
     if arguments.out:
         machine.save("fusion", result, arguments.out, before)
+    if arguments.picture:
+        draw(arguments.picture, arguments.data, arguments.seconds, arguments.seed)
 
 
 def run(data: Path, takes: int, seconds: float, crossings: int, seed: int, tuning: bool) -> dict[str, Any]:
@@ -91,17 +97,23 @@ def run(data: Path, takes: int, seconds: float, crossings: int, seed: int, tunin
         "30 % hidden, errors of pixels all new": Faults(hidden=0.3, slow=0.0),
         "30 % hidden, errors of pixels all standing": Faults(hidden=0.3, slow=1.0),
     }
-    crossed, times = cross(bodies, crossings, seed)
+    crossed, times, busy = cross(bodies, crossings, seed)
     return {
         "data": {"tasks": list(tasks), "takes": len(bodies), "seconds": seconds, "seed": seed},
         "one_person": {name: one_person(bodies, faults, seed) for name, faults in scenarios.items()},
         "crossings": crossed,
         "time": machine.milliseconds(times),
+        "processor_time": machine.milliseconds(busy),
     }
 
 
 def one_person(bodies: Sequence[Body], faults: Faults, seed: int) -> dict[str, dict[str, float]]:
     """Figures of the fusion, of each camera alone, and of an average, over all bodies."""
+    return {name: figures(each) for name, each in shown_by_all(bodies, faults, seed).items()}
+
+
+def shown_by_all(bodies: Sequence[Body], faults: Faults, seed: int) -> dict[str, list[tuple[Body, list[Shown], int]]]:
+    """Per method and body what it shows, and in how many rounds it could."""
     truth = rig()
     shown: dict[str, list[tuple[Body, list[Shown], int]]] = {}
     for k, body in enumerate(bodies):
@@ -112,7 +124,7 @@ def one_person(bodies: Sequence[Body], faults: Faults, seed: int) -> dict[str, d
             frames, rounds = _fuse(mine, [image for image in seen if image.camera in cameras], body)
             shown.setdefault(name, []).append((body, frames, rounds))
         shown.setdefault("average", []).append((body, *_average(known, seen, body)))
-    return {name: figures(each) for name, each in shown.items()}
+    return shown
 
 
 def figures(runs: Sequence[tuple[Body, list[Shown], int]]) -> dict[str, float]:
@@ -130,7 +142,7 @@ def figures(runs: Sequence[tuple[Body, list[Shown], int]]) -> dict[str, float]:
             with np.errstate(invalid="ignore"):
                 inside.append(_mahalanobis(off[told], shown.variance[told]) < 7.815)  # χ²₀.₉₅ of three
             given += int(np.isfinite(error[exists]).sum())
-        expected += rounds * len(body.joints)
+        expected += max(rounds, len(frames)) * len(body.joints)
     all_errors, behind = np.concatenate(errors), np.concatenate(hidden)
     found = all_errors[np.isfinite(all_errors)]
     result = {
@@ -153,17 +165,15 @@ def figures(runs: Sequence[tuple[Body, list[Shown], int]]) -> dict[str, float]:
 
 
 def lag(runs: Sequence[tuple[Body, list[Shown]]]) -> float:
-    """By how much what is shown moves later than the arms [s]: where the correlation of both speeds is highest."""
+    """By how much what is shown moves later than the arms [s]: where a third of a second's moves fit best."""
     products, mine, theirs = (np.zeros(len(SHIFTS)) for _ in range(3))
     for body, frames in runs:
         columns = [body.joints.index(joint) for joint in ARMS]
         stamps, places = np.array([f.taken for f in frames]), np.array([f.positions[columns] for f in frames])
-        near = (np.diff(stamps) > 0) & (np.diff(stamps) < 0.1)
-        before, after, moved = stamps[:-1][near], stamps[1:][near], np.diff(places, axis=0)[near]
+        before, after, moved = stamps[:-APART], stamps[APART:], places[APART:] - places[:-APART]
         for k, shift in enumerate(SHIFTS):
             real = (body.at(after - shift) - body.at(before - shift))[:, columns]
             both = np.isfinite(moved).all(axis=2) & np.isfinite(real).all(axis=2)
-            both &= np.linalg.norm(moved, axis=2) < 0.2
             products[k] += (moved[both] * real[both]).sum()
             mine[k] += (moved[both] ** 2).sum()
             theirs[k] += (real[both] ** 2).sum()
@@ -174,11 +184,12 @@ def lag(runs: Sequence[tuple[Body, list[Shown]]]) -> float:
     return float(SHIFTS[k] + (SHIFTS[1] - SHIFTS[0]) * (0.5 * (below - above) / bend if bend else 0.0))
 
 
-def cross(bodies: Sequence[Body], count: int, seed: int) -> tuple[dict[str, float], list[float]]:
-    """Two persons walk past one another, so many times: switches of identity, and seconds for each round."""
+def cross(bodies: Sequence[Body], count: int, seed: int) -> tuple[dict[str, float], list[float], list[float]]:
+    """Two persons walk past one another, so many times: switches of identity, seconds and processor seconds a round."""
     truth, rng = rig(), np.random.default_rng([seed, 7])
     switches = ghosts = rounds = given = 0
     times: list[float] = []
+    busy: list[float] = []
     errors: list[float] = []
     for k in range(count):
         one, two = rng.choice(len(bodies), 2, replace=False)
@@ -188,11 +199,12 @@ def cross(bodies: Sequence[Body], count: int, seed: int) -> tuple[dict[str, floa
         names: list[str | None] = [None, None]
         for image in images(truth, pair, Faults(), seed + 500 + k):
             taken[image.stamp] = image.taken
-            begun = time.perf_counter()
+            begun, idle = time.perf_counter(), time.thread_time()
             frames = fusion.add(image.camera, image.stamp, image.views)
             if not frames:
                 continue
             times.append(time.perf_counter() - begun)
+            busy.append(time.thread_time() - idle)
             if taken[frames[0].stamp] < pair[0].stamps[0] + SETTLED:
                 continue
             rounds += 1
@@ -214,7 +226,39 @@ def cross(bodies: Sequence[Body], count: int, seed: int) -> tuple[dict[str, floa
         "persons_given": given / max(2 * rounds, 1),
         "mean_mm": 1e3 * float(np.mean(errors)),
     }
-    return summary, times
+    return summary, times, busy
+
+
+def draw(path: Path, data: Path, seconds: float, seed: int) -> None:
+    """A picture of one take with a third of the left camera's view hidden: errors, and one coordinate of a wrist."""
+    from matplotlib.figure import Figure
+
+    body = _bodies(data / "TossTheCan", 1, seconds)[0]
+    shown = shown_by_all([body], Faults(hidden=0.3), seed)
+    colours = dict(zip(("fused", "left", "right", "back", "average"), ("C0", "C3", "C1", "C4", "0.5"), strict=True))
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
+    for name, colour in colours.items():
+        _, frames, _ = shown[name][0]
+        errors = np.concatenate([1e3 * np.linalg.norm(f.positions - body.at(f.taken), axis=1) for f in frames])
+        errors = np.sort(np.nan_to_num(errors, nan=np.inf))
+        left.plot(errors, np.linspace(0, 1, len(errors)), color=colour, label=name, lw=2 if name == "fused" else 1)
+    left.set(xlim=(0, 300), ylim=(0, 1), xlabel="error of a joint [mm]", ylabel="share of joints")
+    left.legend(loc="lower right", frameon=False)
+    wrist = body.joints.index("right_wrist")
+    for name in ("left", "fused"):
+        _, frames, _ = shown[name][0]
+        places = np.array([f.positions[wrist, 1] for f in frames])
+        right.plot([f.taken for f in frames], places, color=colours[name], lw=1, label=name)
+    times = np.array([f.taken for f in shown["fused"][0][1]])
+    right.plot(times, body.at(times)[:, wrist, 1], "k:", lw=1.5, label="truth")
+    hidden = np.array([f.hidden[wrist] for f in shown["fused"][0][1]])
+    right.fill_between(times, 0, 1, where=hidden, transform=right.get_xaxis_transform(), color="0.88", lw=0)
+    right.set(xlabel="time [s]", ylabel="y of the right wrist [m]", title="grey: hidden from the left camera")
+    low, high = np.nanpercentile(body.positions[:, wrist, 1], [0, 100])
+    right.set_ylim(low - 0.25, high + 0.25)
+    right.legend(loc="upper right", frameon=False, ncols=3)
+    figure.savefig(path, dpi=110)
 
 
 def _bodies(folder: Path, takes: int, seconds: float) -> list[Body]:
@@ -278,14 +322,17 @@ def _average(known: Rig, seen: Sequence[Image], body: Body) -> tuple[list[Shown]
     """The middle of what each camera's newest image says by pixels and depths, whenever the first camera's comes."""
     newest: dict[str, np.ndarray] = {}
     shown, rounds = [], 0
+    hidden = np.zeros(len(body.joints), bool)
     flesh = np.array([FLESH[joint.removeprefix("left_").removeprefix("right_")] for joint in body.joints])
     for image in seen:
+        if image.camera == "left":
+            hidden = image.hidden[0]
         if image.views:
             view, camera = image.views[0], known.cameras[image.camera]
-            newest[image.camera] = camera.back_project(view.pixels, view.depth + flesh)
+            near = np.abs(view.depth - np.nanmedian(view.depth)) < DEEP if np.isfinite(view.depth).any() else view.seen
+            newest[image.camera] = camera.back_project(view.pixels, np.where(near, view.depth + flesh, np.nan))
         if image.camera == seen[0].camera and image.taken > body.stamps[0] + SETTLED and newest:
             rounds += 1
-            hidden = image.hidden[0] if image.camera == "left" else np.zeros(len(body.joints), bool)
             places = np.stack(list(newest.values()))
             count = np.isfinite(places).all(axis=-1).sum(axis=0)
             middle = np.nansum(places, axis=0) / np.where(count > 0, count, np.nan)[:, None]

@@ -182,7 +182,7 @@ def _stream(
                 hidden.append(behind)
             order = np.argsort([np.nanmean(v.pixels[:, 0]) if v.seen.any() else np.inf for v in views])
             named = tuple(replace(views[k], person=str(place)) for place, k in enumerate(order) if views[k].seen.any())
-            yield Image(camera.name, taken, stamp, arrived, named, tuple(hidden))
+            yield Image(camera.name, float(taken), float(stamp), float(arrived), named, tuple(hidden))
         taken += period
 
 

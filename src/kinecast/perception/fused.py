@@ -21,6 +21,8 @@ GATHER = 0.004
 """People of one image who come in messages of their own come within this [s]."""
 PATIENCE = 0.05
 """After so long without any image [s] a round ends without the cameras that are missing."""
+JUDGE, MOST_THROWN_OUT = 10.0, 30
+"""How often cameras are judged [s], and how many of a camera's views may be thrown out until then."""
 LOOK = 0.1
 """Longest wait before looking whether to end [s]."""
 
@@ -58,6 +60,8 @@ class FusedSource:
         self._changed = threading.Condition()
         self._stop = False
         self._progress = 0.0
+        self._judged = time.monotonic()
+        self._counted = dict.fromkeys(rig.cameras, (0, 0))
         self._thread: threading.Thread | None = None
         self._epoch = time.time() - time.monotonic()
 
@@ -153,8 +157,22 @@ class FusedSource:
         for camera, image in images:
             self._publish(self.fusion.add(camera, image.acquired, image.people))
             self._progress = now
+        if now - self._judged > JUDGE:
+            self._judge()
+            self._judged = now
         if self.fusion.waiting and now - self._progress > PATIENCE:
             self._publish(self.fusion.finish())
+
+    def _judge(self) -> None:
+        """Names cameras whose views were mostly thrown out lately: they may have been moved."""
+        for camera, (used, thrown_out) in self._counted.items():
+            used, thrown_out = self.fusion.used[camera] - used, self.fusion.thrown_out[camera] - thrown_out
+            if thrown_out > max(used, MOST_THROWN_OUT):
+                log.warning(
+                    "%s: camera %r contradicts the others in %d of %d views: has it moved since it was calibrated?",
+                    self.address, camera, thrown_out, used + thrown_out,
+                )  # fmt: skip
+        self._counted = {name: (self.fusion.used[name], self.fusion.thrown_out[name]) for name in self.rig.cameras}
 
     def _publish(self, frames: Sequence[SkeletonFrame]) -> None:
         for frame in frames:

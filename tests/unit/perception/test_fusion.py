@@ -123,8 +123,8 @@ def test_views_of_different_instants_are_moved_to_one() -> None:
 
 def test_noise_is_averaged_and_its_size_is_told() -> None:
     rng = np.random.default_rng(0)
-    frames = play(Fusion(RIG), still, 3.0, rng=rng, pixel_std=10.0)[30:]
-    alone = play(Fusion(RIG), still, 3.0, ("a",), rng=rng, pixel_std=10.0)[30:]
+    frames = play(Fusion(RIG), still, 2.0, rng=rng, pixel_std=10.0)[15:]
+    alone = play(Fusion(RIG), still, 2.0, ("a",), rng=rng, pixel_std=10.0)[15:]
     fused = np.mean([error(frame, still) for frame in frames])
     assert fused < 0.8 * np.mean([error(frame, still) for frame in alone])
     for frame in frames:
@@ -141,11 +141,11 @@ def test_a_view_that_is_wrong_is_thrown_out() -> None:
     def push(name: str, time: float, views: list[View]) -> list[View]:
         return (
             [replace(v, pixels=v.pixels + np.array([90.0, 0.0])) for v in views]
-            if name == "b" and 1.0 < time < 1.5
+            if name == "b" and 0.5 < time < 1.0
             else views
         )
 
-    frames = play(fusion, still, 2.0, change=push)
+    frames = play(fusion, still, 1.2, change=push)
     assert max(error(frame, still).max() for frame in frames) < 2e-3
     assert {frame.person for frame in frames} == {"1"}
     assert fusion.used["b"] < fusion.used["a"] - 10
@@ -160,36 +160,36 @@ def test_one_wrong_joint_and_one_wrong_depth_are_left_out() -> None:
             depth[5] += 0.7  # the wall behind the wrist
         return [replace(views[0], pixels=pixels, depth=depth)]
 
-    frames = play(Fusion(RIG), still, 2.0, change=spoil)[5:]
+    frames = play(Fusion(RIG), still, change=spoil)[5:]
     assert max(error(frame, still).max() for frame in frames) < 2e-3
 
 
 def test_a_hidden_joint_is_given_while_anybody_sees_it_and_not_for_long_after() -> None:
     def hide(name: str, time: float, views: list[View]) -> list[View]:
         pixels = views[0].pixels.copy()
-        if time > 0.5 and (name == "a" or time > 1.0):
+        if time > 0.3 and (name == "a" or time > 0.6):
             pixels[2] = np.nan
         return [replace(views[0], pixels=pixels)]
 
-    frames = play(Fusion(RIG), still, 2.0, change=hide)
+    frames = play(Fusion(RIG), still, 1.3, change=hide)
     for frame in frames:
         seen = bool(np.isfinite(frame.positions[frame.joints.index("left_wrist")]).all())
-        assert seen == (frame.stamp < 1.0 + SHOWN) or abs(frame.stamp - 1.0 - SHOWN) < 2 * PERIOD
+        assert seen == (frame.stamp < 0.6 + SHOWN) or abs(frame.stamp - 0.6 - SHOWN) < 2 * PERIOD
     assert max(np.nanmax(error(frame, still)) for frame in frames) < 2e-3
 
 
 def test_two_who_cross_keep_their_names_though_cameras_swap_them() -> None:
     def east(time: float) -> np.ndarray:
-        return REST + np.array([time - 1.5, 0.3, 0])
+        return REST + np.array([1.2 * time - 0.9, 0.3, 0])
 
     def west(time: float) -> np.ndarray:
-        return REST * (-1, -1, 1) + np.array([1.5 - time, -0.3, 0])
+        return REST * (-1, -1, 1) + np.array([0.9 - 1.2 * time, -0.3, 0])
 
     def by_place(_name: str, _time: float, views: list[View]) -> list[View]:
         return sorted(views, key=lambda view: float(view.pixels[:, 0].mean()))
 
     fusion = Fusion(RIG)
-    frames = play(fusion, [east, west], 3.0, change=by_place)
+    frames = play(fusion, [east, west], 1.5, change=by_place)
     names = {}
     for frame in frames:
         mine, other = error(frame, east).mean(), error(frame, west).mean()
@@ -215,7 +215,7 @@ def test_a_swing_is_followed_without_lag() -> None:
         moved[2] += np.array([0.0, 0.25 * np.sin(2 * np.pi * 0.8 * time), 0.0])
         return moved
 
-    frames = play(Fusion(RIG), swing, 5.0, rng=np.random.default_rng(1))[30:]
+    frames = play(Fusion(RIG), swing, 3.0, rng=np.random.default_rng(1))[10:]
     seen = np.array([frame.positions[frame.joints.index("left_wrist"), 1] for frame in frames]) - REST[2, 1]
     stamps = np.array([frame.stamp for frame in frames])
     shifts = np.arange(-0.03, 0.061, 0.001)
@@ -227,21 +227,21 @@ def test_whoever_leaves_is_forgotten_and_comes_back_as_another() -> None:
     fusion = Fusion(RIG)
 
     def gone(_name: str, time: float, views: list[View]) -> list[View]:
-        return [] if 1.0 < time < 2.5 else views
+        return [] if 0.4 < time < 1.6 else views
 
-    frames = play(fusion, still, 4.0, change=gone)
+    frames = play(fusion, still, 2.0, change=gone)
     assert {frame.person for frame in frames if frame.stamp < 1.0} == {"1"}
-    assert {frame.person for frame in frames if frame.stamp > 2.0} == {"2"}
+    assert {frame.person for frame in frames if frame.stamp > 1.0} == {"2"}
 
 
 def test_a_camera_that_falls_silent_is_not_waited_for() -> None:
     fusion = Fusion(RIG)
     play(fusion, still)
     frames = []
-    for k in range(30, 90):
+    for k in range(30, 60):
         for name in ("a", "b"):
             frames += fusion.add(name, k * PERIOD, [look(name, REST)])
-    assert len(frames) >= 58
+    assert len(frames) >= 28
 
 
 def test_time_that_is_set_back_is_followed() -> None:
@@ -258,7 +258,7 @@ def test_nothing_that_views_say_raises() -> None:
     rng, fusion = np.random.default_rng(0), Fusion(RIG)
     absurd = np.array([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-300, 1e300, -1e300, 1e5, 0.3])
     stamp = 0.0
-    for k in range(300):
+    for k in range(120):
         name = ("a", "b", "c", "who")[rng.integers(4)]
         stamp += rng.choice([0.0, 0.01, 0.033, -0.05, 0.4, 5.0, 1e6], p=[0.1, 0.3, 0.3, 0.2, 0.06, 0.03, 0.01])
         people: list[View | SkeletonFrame] = []

@@ -52,7 +52,7 @@ class Fusion:
 
     Attributes:
         late: images that came too late to be used.
-        thrown_out: per camera, views that disagreed with the others in most joints.
+        thrown_out: per camera, views that disagreed with the others in most joints, or were of nobody.
         used: per camera, views that went in.
     """
 
@@ -137,17 +137,17 @@ class Fusion:
 
     def _closes(self, camera: str, stamp: float) -> bool:
         """Whether an image cannot be in the same round as those before."""
-        return camera in self._round and stamp != self._heard[camera]
+        return camera in self._round and bool(stamp != self._heard[camera])
 
     def _recognise(
         self, images: dict[str, list[Sighting]], mine: dict[PersonTrack, list[Sighting]]
     ) -> dict[str, list[Sighting]]:
         """Gives each person their sightings; those that are of nobody known are returned."""
         strangers = {}
-        known = sorted(self._tracks, key=lambda track: not track.confirmed)
+        groups = [t for t in self._tracks if t.confirmed], [t for t in self._tracks if not t.confirmed]
         for camera, sightings in images.items():
             left = sightings
-            for group in ([t for t in known if t.confirmed], [t for t in known if not t.confirmed]):
+            for group in groups:
                 found = assign(left, [track.states for track in group])
                 for sighting, place in zip(left, found, strict=True):
                     if place is not None:
@@ -165,6 +165,7 @@ class Fusion:
     def _welcome(self, strangers: dict[str, list[Sighting]]) -> None:
         """Sightings of nobody known: people who came, if they are far enough from everybody."""
         waiting = [sighting for sightings in strangers.values() for sighting in sightings]
+        nobodies = list(waiting)
         trials = MOST_TRIALS
         while waiting and trials > 0 and len(self._tracks) < MOST_PEOPLE:
             first, others = waiting[0], waiting[1:]
@@ -186,6 +187,9 @@ class Fusion:
                 self._tracks.append(track)
                 self._see(track, fitting)
                 waiting = [sighting for sighting in waiting if sighting not in fitting]
+                nobodies = [sighting for sighting in nobodies if sighting not in fitting]
+        for sighting in nobodies:
+            self.thrown_out[sighting.camera] += 1
 
     def _drop_doubles(self) -> None:
         """Of two who stand in one another, who was seen in fewer rounds is nobody."""

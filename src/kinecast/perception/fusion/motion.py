@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 __all__ = ["JointStates", "back", "disturbance", "transition"]
 
-FADE = 0.10
+FADE = 0.4
 """Time in which an acceleration fades [s], from tuning: docs/decisions/0022."""
 START_SPEED, START_ACCELERATION = 0.7, 3.0
 """Standard deviation, along each axis, of a joint not seen before [m/s], [m/s²]: a person walks at 1.2 m/s."""

@@ -15,9 +15,10 @@ from kinecast.types import SkeletonFrame
 
 __all__ = ["PersonTrack"]
 
-ACCELERATIONS = {"shoulder": 2.0, "elbow": 4.0, "wrist": 6.0, "hand": 8.0}
-ACCELERATION = 2.0
-"""Standard deviation of a joint's acceleration along each axis [m/s²]."""
+ACCELERATIONS = {"elbow": 2.0, "wrist": 3.0, "hand": 4.0}
+ACCELERATION = 1.0
+"""Standard deviation of a joint's acceleration along each axis [m/s²]: two to three times what it is in recorded work,
+for the sake of a small lag (docs/decisions/0022)."""
 WRONG_SHARE, WRONG_LEAST = 0.5, 3
 """A view of which so many joints, and this share, disagree with all else is wrong as a whole."""
 PATIENCE = 10
