@@ -77,8 +77,8 @@ def outgoing(text: str, namespace: str, settings: Mapping[str, str]) -> Outgoing
     Raises:
         OptionError: a name that is none, or settings outside their ranges.
     """
-    parts = _number(text, settings, "parts", 3)
-    if parts != int(parts):
+    parts = _number(text, settings, "parts", 3.0)
+    if not parts.is_integer():
         raise OptionError(f"{text}: parts {settings['parts']!r} is no whole number")
     scene = SceneOptions(int(parts), _number(text, settings, "thickness", 0.05))
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS

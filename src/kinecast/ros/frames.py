@@ -15,7 +15,7 @@ from kinecast.perception.message import FARTHEST, LONGEST_NAME, MessageError
 
 __all__ = ["STALE", "FrameTree", "Lookup", "point", "seconds"]
 
-MOST_FRAMES = 4096
+MOST_FRAMES = 1024
 DEEPEST = 64
 """Frames between one and the root of its tree."""
 STALE = 0.5

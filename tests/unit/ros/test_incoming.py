@@ -221,7 +221,7 @@ def test_positions_are_carried_into_the_frame_that_was_asked_for() -> None:
         ({"a": ("b", (0, 0, 0)), "b": ("a", (0, 0, 0))}, "or a circle"),
         ({"a": ("b", (np.nan, 0, 0))}, "the transform of 'a'"),
         ({"": ("b", (0, 0, 0))}, "a frame's name has 0 characters"),
-        ({f"f{k}": ("b", (0, 0, 0)) for k in range(4097)}, "more than 4096 coordinate frames"),
+        ({f"f{k}": ("b", (0, 0, 0)) for k in range(1025)}, "more than 1024 coordinate frames"),
     ],
 )
 def test_frames_that_are_none_are_refused(places: dict[str, Any], words: str) -> None:
@@ -240,7 +240,7 @@ def test_no_message_raises(random_fields: Any) -> None:
             "geometry_msgs/PoseArray", "visualization_msgs/MarkerArray", "sensor_msgs/JointState",
             "zed_interfaces/ObjectsStamped")):  # fmt: skip
             incoming = Incoming("/x", type_, options)
-            for _ in range(100):
+            for _ in range(40):
                 bytes_ = bytearray(messages.encode(type_, random_fields(messages, type_, rng)))
                 bytes_[rng.integers(len(bytes_))] = int(rng.integers(256))
                 found = list(incoming.read_bytes(messages, "/x", bytes(bytes_)))

@@ -1,0 +1,105 @@
+"""A sink whose carrier is slow or broken, and a source whose carrier goes on whatever comes."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.perception.mailbox import Mailbox
+from kinecast.ros.carrier import RosSink, RosSource, Taker
+from kinecast.ros.incoming import Incoming, InputOptions
+from kinecast.ros.messages import Distribution, messages_of
+from kinecast.ros.outgoing import Outgoing, OutputOptions
+
+REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
+ONE = OutputOptions(outputs=("prediction",))
+
+
+class Wire:
+    """A carrier inside this process, which waits or fails as it is told."""
+
+    def __init__(self, trouble: Exception | None = None) -> None:
+        self.messages = messages_of(Distribution.JAZZY)
+        self.trouble = trouble
+        self.free = threading.Event()
+        self.begun = threading.Event()
+        self.sent: list[str] = []
+        self.takers: dict[str, Taker] = {}
+        self.closed = False
+
+    def subscribe(self, topic: str, type_: str, take: Taker) -> None:  # noqa: ARG002
+        self.takers[topic] = take
+
+    def advertise(self, topic: str, type_: str) -> None:
+        """Nothing."""
+
+    def publish(self, topic: str, type_: str, content: bytes) -> None:
+        self.begun.set()
+        self.free.wait()
+        if self.trouble:
+            raise self.trouble
+        self.sent.append(self.messages.decode(type_, content).person)
+        assert topic == "/kinecast/prediction"
+
+    def now(self) -> float:
+        return 1_760_000_000.0
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_the_oldest_waits_no_longer_where_there_is_no_room(publish: Any) -> None:
+    wire = Wire()
+    sink = RosSink("wire", Outgoing(ONE), wire, room=3)
+    sink.publish(publish(REST, 0.0, "first"))
+    assert wire.begun.wait(60.0)
+    for k in range(8):
+        sink.publish(publish(REST, 0.0, str(k)))
+    assert sink.tally.dropped == 5
+    wire.free.set()
+    sink.close()
+    assert wire.sent == ["first", "5", "6", "7"]
+    assert (sink.tally.published, sink.failure, wire.closed) == (4, None, True)
+
+
+def test_after_an_error_of_the_system_nothing_more_is_sent(publish: Any, caplog: pytest.LogCaptureFixture) -> None:
+    wire = Wire(OSError("the cable is out"))
+    wire.free.set()
+    sink = RosSink("wire", Outgoing(ONE), wire, room=100)
+    for k in range(5):
+        sink.publish(publish(REST, 0.0, str(k)))
+    sink.close()
+    assert sink.failure == "wire: the cable is out"
+    assert (sink.tally.published, sink.tally.dropped) == (0, 5)
+    assert caplog.text.count("nothing more is sent") == 1
+    assert wire.closed
+
+
+def test_any_other_error_costs_one_prediction(publish: Any, caplog: pytest.LogCaptureFixture) -> None:
+    wire = Wire(ValueError("odd"))
+    wire.free.set()
+    sink = RosSink("wire", Outgoing(ONE), wire, room=100)
+    for k in range(5):
+        sink.publish(publish(REST, 0.0, str(k)))
+    sink.close()
+    assert (sink.tally.published, sink.tally.dropped, sink.failure) == (0, 5, None)
+    assert caplog.text.count("could not be sent") == 1
+
+
+def test_a_source_counts_what_it_refuses_and_goes_on() -> None:
+    wire, feed = Wire(), Mailbox().feed("wire")
+    incoming = Incoming("/arms", "geometry_msgs/PoseArray", InputOptions(joints=",".join(ARM_JOINTS)))
+    source = RosSource("wire", feed, incoming, wire)
+    source.start()
+    poses = [{"position": dict(zip("xyz", xyz, strict=True))} for xyz in REST.tolist()]
+    good = wire.messages.encode("geometry_msgs/PoseArray", {"header": {"stamp": 5.0}, "poses": poses})
+    for content in (b"", good[:-9], good, bytes(good[:4]) + b"\xff" * 60):
+        wire.takers["/arms"]("/arms", content)
+    wire.takers["/arms"]("/nowhere", good)  # what no carrier should do
+    assert (feed.received, feed.refused) == (1, 4)
+    source.close()
+    assert wire.closed
