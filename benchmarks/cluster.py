@@ -34,7 +34,9 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
+from kinecast.prediction.horizon.expert_training import Examples
 from kinecast.prediction.methods import TrainingOptions, train
+from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks.workers import Serial
 
 METHODS = "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,kinecast"
@@ -149,7 +151,9 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
         share: every so manieth frame of each recording, counted from its beginning.
     """
     workers = Timed()
+    started = time.process_time()
     recordings = load_all([data])
+    read = time.process_time() - started
     tested = [each for each in recordings if each.task == arguments.test]
     others = [each for each in recordings if each.task != arguments.test]
     options = WindowOptions(rate=RATE, stride=STRIDE)
@@ -169,8 +173,17 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
         "frames": int(sum(each.duration for each in others) * RATE),
         "scored_windows": sum(len(part) for part in parts),
         "window_bytes": (windows.observed.nbytes + windows.future.nbytes) / len(windows),
+        "fit_bytes": _fit_bytes(windows),
+        "read_s_per_hour": read / sum(each.duration for each in recordings) * 3600,
         "costs": {name: vars(cost) for name, cost in workers.costs.items()},
     }
+
+
+def _fit_bytes(windows: TrainingWindows) -> float:
+    """Memory that the largest fit, of the radial basis on clean and noisy windows, holds for each window."""
+    some = windows.take(np.arange(min(len(windows), 200)))
+    arrays = vars(Examples(some.observed, some.future)).values()
+    return 2 * sum(array.nbytes for array in arrays if isinstance(array, np.ndarray)) / len(some)
 
 
 def _leading(recording: np.ndarray, share: float) -> np.ndarray:
@@ -188,7 +201,9 @@ def estimate(small: dict[str, Any], large: dict[str, Any]) -> dict[str, Any]:
     frames = HOURS * 3600 * RATE
     training, scored = frames * (1 - TESTED), frames * TESTED / STRIDE
     n, m = small["training_windows"], large["training_windows"]
-    stages, wall, cpu = [], 0.0, 0.0
+    reading = large["read_s_per_hour"] * HOURS
+    stages = [{"stage": "read, in the command", "cpu_s": reading, "longest_task_s": reading, "wall_s": reading}]
+    wall, cpu = reading, reading
     for title, kinds in STAGES:
         seconds, longest = 0.0, 0.0
         for kind in (kind for kind in kinds if kind in large["costs"]):
@@ -209,8 +224,9 @@ def estimate(small: dict[str, Any], large: dict[str, Any]) -> dict[str, Any]:
         wall, cpu = wall + here, cpu + seconds
     return {
         "hours": HOURS, "workers": WORKERS, "training_windows": training, "scored_windows": scored,
-        "windows_gigabytes": training * large["window_bytes"] / 1e9, "stages": stages,
-        "cpu_hours": cpu / 3600, "one_worker_hours": cpu / 3600, "wall_hours": wall / 3600,
+        "windows_gigabytes": training * large["window_bytes"] / 1e9,
+        "fit_gigabytes": training * large["fit_bytes"] / 1e9, "stages": stages,
+        "cpu_hours": cpu / 3600, "wall_hours": wall / 3600,
     }  # fmt: skip
 
 
@@ -255,7 +271,8 @@ def table(found: dict[str, Any]) -> str:
     """The estimate as a table."""
     lines = [
         f"{found['hours']:g} h at {RATE:g} Hz: {found['training_windows']:.3g} windows trained on "
-        f"({found['windows_gigabytes']:.1f} GB), {found['scored_windows']:.3g} scored; {found['workers']} workers",
+        f"({found['windows_gigabytes']:.1f} GB, {found['fit_gigabytes']:.1f} GB in the largest fit), "
+        f"{found['scored_windows']:.3g} scored; {found['workers']} workers",
         f"{'stage':28} {'CPU h':>8} {'longest task s':>15} {'wall s':>8}",
     ]
     for each in found["stages"]:

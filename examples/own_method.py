@@ -1,13 +1,10 @@
 """Your own method beside kinecast's.
 
-    cd examples
-    kinecast evaluate --methods damped_velocity,own_method:fit --train RECORDINGS --test OTHERS --out out
-    kinecast live --model own_method:trained --source … --sink …
+A whole method in plain NumPy, by its name in the commands: `--methods own_method:fit` trains it on recordings, `--model
+own_method:trained` takes it as it is.
 
-`Fading` is a whole method in plain NumPy: the last velocity goes on and fades, errors spread as they did in training.
-A model that only gives means is shorter still: 04_any_predictor_constrained.py.
-
-Shows: the five things a method must have, a density, and the two functions by which the commands find it.
+Shows: the five things a method must have, a density, and the two functions by which the commands find it; a model that
+only gives means is shorter still (04_any_predictor_constrained.py).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import pytest
 
 import kinecast
 from kinecast.cli.evaluate import DEFAULT_METHODS
-from kinecast.datasets.loading import FORMATS
+from kinecast.cli.formats import FORMAT_NAMES
 from kinecast.types import Status
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -146,5 +146,5 @@ def test_tables_are_complete() -> None:
     for status in Status:
         assert f"| {status.name} |" in conventions, status.name
     datasets = (ROOT / "docs" / "datasets.md").read_text(encoding="utf-8")
-    for name in FORMATS:
+    for name in FORMAT_NAMES:
         assert f"| `{name}` |" in datasets, name

@@ -13,7 +13,7 @@ from kinecast.prediction.horizon.learned import COMPONENTS, Network, RadialBasis
 from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
 from kinecast.prediction.training import centres
 
-__all__ = ["fit_network", "fit_radial_basis"]
+__all__ = ["Examples", "fit_network", "fit_radial_basis"]
 
 BLOCK = 4096
 """Rows handled at once, so that memory stays flat."""
@@ -25,7 +25,7 @@ WIDTH, DROPPED = 256, 0.4
 """Units of the network's layers, and the share of them left out at random while training."""
 
 
-class _Examples:
+class Examples:
     """Both arms' views of windows, with what came in the arm's axes and as coefficients of the time basis."""
 
     def __init__(self, observed: Float[np.ndarray, "W N 6 3"], future: Float[np.ndarray, "W T 6 3"]) -> None:
@@ -48,7 +48,7 @@ def fit_radial_basis(
     It is the mean of a sparse Gaussian process with a linear mean function and a heavy-tailed likelihood;
     pseudo-inputs are k-means centres.
     """
-    data = _Examples(observed, future)
+    data = Examples(observed, future)
     count = len(data.features)
     steps = data.features[:, :-20]
     mean = steps.mean(axis=0)
@@ -84,7 +84,7 @@ def fit_radial_basis(
     return model
 
 
-def _reweighted(model: RadialBasis, data: _Examples, rows: slice) -> Float[np.ndarray, " R"]:
+def _reweighted(model: RadialBasis, data: Examples, rows: slice) -> Float[np.ndarray, " R"]:
     """Amplitude squared over the mean distance: the weight that makes a square a distance."""
     coefficients = model.coefficients(data.features[rows])
     made = data.basis @ coefficients.reshape(len(coefficients), -1, 9) * data.amplitude[rows, None, None]
@@ -97,7 +97,7 @@ def fit_network(
     observed: Float[np.ndarray, "W N 6 3"], future: Float[np.ndarray, "W T 6 3"], steps: int, seed: int
 ) -> Network:
     """Multilayer perceptron beside a linear skip that starts from ridge; mean distance as loss."""
-    data = _Examples(observed, future)
+    data = Examples(observed, future)
     inputs, outputs = data.features.shape[1], data.coefficients.shape[1]
     seen = data.features[:, : inputs - 2]
     weight = data.amplitude[:, None]
