@@ -75,11 +75,13 @@ def _state(loop: Live, feed: Feed, running: bool) -> Text:
     status = loop.last.get(feed)
     if feed.ended or not running:
         return Text("ended" if feed.ended else "–", "dim")
-    if feed.last is None or status is None:
+    if feed.last is None or (status is None and not feed.fused):
         return Text("waiting", "yellow")
     silence = time.monotonic() - feed.last
     if silence > SILENT:
         return Text(f"silent for {silence:.0f} s", "red")
+    if status is None:
+        return Text("fused", "green")
     return Text(status.name, "green" if status is Status.OK else "yellow")
 
 

@@ -163,6 +163,8 @@ def _source(
         return UdpSource(
             source.place, feed, network, XsensAdmission(feed, XsensOptions.parse(source.settings, source.text))
         )
+    if fused is not None:
+        fused.expect(feed)
     _deliverer(source, feed, fused)
     admission = Admission(feed, fused, source.settings.get("camera", ""))
     return (WebSocketSource if source.kind == "ws" else UdpSource)(source.place, feed, network, admission)

@@ -79,16 +79,20 @@ class FusedSource:
             raise OptionError(
                 f"{feed.name}: camera {camera!r} is not in the rig, which has {', '.join(self.rig.cameras)}"
             )
-        self._inputs.add(feed)
+        self.expect(feed)
+        feed.fused = True
 
         def deliver(stamp: float, people: Sequence[View], acquired: float) -> None:
             self._put(camera, feed, stamp, people, acquired, 0.0)
 
         return deliver
 
+    def expect(self, feed: Feed) -> None:
+        """Does not end before that feed has: images of a camera may come by it."""
+        self._inputs.add(feed)
+
     def put(self, camera: str, feed: Feed, person: View | SkeletonFrame, acquired: float) -> None:
         """One of perhaps several persons in an image; see `Feed.put`. Never waits."""
-        self._inputs.add(feed)
         self._put(camera, feed, person.stamp, (person,), acquired, GATHER)
 
     def start(self) -> None:
@@ -133,7 +137,7 @@ class FusedSource:
                 self._fuse(images)
             except Exception:  # whatever one camera says, the others go on
                 log.exception("%s: a round could not be fused", self.address)
-            if self._inputs and not images and all(feed.ended for feed in self._inputs):
+            if not images and all(feed.ended for feed in self._inputs):
                 break
         self._feed.end()
 

@@ -101,6 +101,7 @@ class Feed:
         difference: this machine's clock less the source's [s]; None where they are one.
         clock_jumps: how often the source's clock was set.
         clients: how many are connected, or send datagrams, now.
+        fused: whether what comes goes into another feed, of several cameras.
         last: when the newest frame came [s], on `time.monotonic`; None before.
         ended: no frame will come any more.
     """
@@ -110,7 +111,7 @@ class Feed:
         self.received = self.superseded = self.refused = self.clock_jumps = self.clients = 0
         self.difference: float | None = None
         self.last: float | None = None
-        self.ended = False
+        self.ended = self.fused = False
         self._mailbox = mailbox
         self._said = 0
         self._quiet_until = -1.0

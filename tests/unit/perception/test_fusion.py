@@ -312,10 +312,23 @@ def test_cameras_of_a_rig_are_one_source_that_ends_when_they_all_have() -> None:
     assert all(feed.received == k + 1 for feed in feeds.values())
 
 
+def test_a_rig_of_which_nothing_can_come_does_not_keep_the_others_waiting() -> None:
+    mailbox = Mailbox()
+    source = FusedSource(RIG, mailbox.feed("fusion"))
+    source.start()
+    for _ in range(600):
+        if mailbox.finished:
+            break
+        mailbox.take(0.1)
+    assert mailbox.finished
+    source.close()
+
+
 def test_messages_of_pixels_and_of_a_cameras_own_skeletons_reach_the_fusion() -> None:
     mailbox = Mailbox()
     source, feed = FusedSource(RIG, mailbox.feed("fusion")), mailbox.feed("ws")
     admission, lone = Admission(feed, source), Admission(feed)
+    source.expect(feed)
     source.start()
     own = apply(RIG.cameras["b"].T_camera_world, REST)
     found: SkeletonFrame | None = None

@@ -29,8 +29,8 @@ MOST_BEYOND = 0.5
 """A joint too far from more than this share of its neighbours is something else."""
 LOOSE = 0.2
 """Uncertainty from which a joint is held near the body [m]."""
-SHOWN = 0.5
-"""A joint that nobody has seen for so long [s] is no longer given."""
+SHOWN = 0.15
+"""A joint that nobody has seen for so long [s] is no longer given: the predictor then knows that it is hidden."""
 CONFIRMED = 3
 """Rounds in which somebody is seen before they count as somebody."""
 
