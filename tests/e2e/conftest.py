@@ -165,3 +165,18 @@ def debian() -> Callable[..., None]:
                 subprocess.run(("apt-get", "-q", *arguments), capture_output=True, timeout=LONG, check=False)
 
     return install
+
+
+@pytest.fixture(scope="session")
+def chromium(debian: Callable[..., None]) -> str:
+    """The browser's program: one that is there, else Debian's."""
+
+    def program() -> str | None:
+        return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+    if program() is None:
+        debian("chromium")
+    found = program()
+    if found is None:
+        pytest.skip("no Chromium, and it could not be installed with apt-get")
+    return found

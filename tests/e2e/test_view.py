@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-import base64
-import io
-import itertools
-import json
 import re
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
-from websockets.sync.client import connect
 
-LONG = 240.0
-"""Of a wait for another process, on however busy a machine [s]; most take a second."""
-WIDE, HIGH, SCENE = 960, 600, 560
-"""Of the page; the cell is drawn left of the panel [pixels]."""
-POLL = 0.2
-"""Between two looks [s]."""
+from .browser import LONG, SCENE, Page, wait_for
+
 COMMAND = (
     sys.executable,
     "-c",
@@ -36,100 +23,6 @@ COMMAND = (
     "simulate",
 )
 """Ctrl-C means something to it even where the tests run in the background."""
-
-
-def wait_for(what: str, look: Callable[[], Any]) -> Any:
-    """The first look that is something."""
-    end = time.monotonic() + LONG
-    while time.monotonic() < end:
-        if found := look():
-            return found
-        time.sleep(POLL)
-    pytest.fail(f"{what}: not within {LONG:.0f} s")
-
-
-@pytest.fixture(scope="session")
-def chromium(debian: Callable[..., None]) -> str:
-    """The browser's program: one that is there, else Debian's."""
-
-    def program() -> str | None:
-        return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-    if program() is None:
-        debian("chromium")
-    found = program()
-    if found is None:
-        pytest.skip("no Chromium, and it could not be installed with apt-get")
-    return found
-
-
-class Page:
-    """One page of a browser, driven through the DevTools protocol."""
-
-    def __init__(self, program: str, folder: Path, url: str) -> None:
-        switches = (
-            "--headless=new", "--no-sandbox", "--no-first-run",
-            "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
-            "--remote-debugging-port=0", f"--user-data-dir={folder}",
-        )  # fmt: skip
-        self._process = subprocess.Popen(
-            (program, *switches, "about:blank"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        port_file = folder / "DevToolsActivePort"
-        port = wait_for("the browser's port", lambda: port_file.exists() and port_file.read_text().split()[:1])[0]
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=LONG) as answer:
-            target = next(each for each in json.load(answer) if each["type"] == "page")
-        self._socket = connect(target["webSocketDebuggerUrl"], max_size=None, proxy=None, open_timeout=LONG)
-        self._numbers = itertools.count(1)
-        self.call("Emulation.setDeviceMetricsOverride", width=WIDE, height=HIGH, deviceScaleFactor=1, mobile=False)
-        self.call("Page.navigate", url=url)
-
-    def call(self, method: str, **parameters: object) -> Any:
-        number = next(self._numbers)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
-        while True:
-            answer = json.loads(self._socket.recv(timeout=LONG))
-            if answer.get("id") == number:
-                assert "error" not in answer, answer
-                return answer["result"]
-
-    def run(self, script: str) -> Any:
-        """A JavaScript expression's value; None where it fails, as before the page is there."""
-        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True)
-        return None if "exceptionDetails" in answer else answer["result"].get("value")
-
-    def text(self, name: str) -> str:
-        """What a part of the panel says."""
-        return self.run(f"document.getElementById({json.dumps(name)}).innerText") or ""
-
-    def press(self, label: str) -> None:
-        """Clicks the button of this label, once it is there."""
-        button = f"[...document.querySelectorAll('button')].find(each => each.innerText.trim() === {json.dumps(label)})"
-        wait_for(f"the button {label}", lambda: self.run(f"({button}.click(), true)"))
-
-    @property
-    def stamp(self) -> float:
-        """Of the moment that is shown [s]; -1 without one."""
-        return float(self.run("document.getElementById('state').dataset.stamp") or -1)
-
-    def go_to(self, seconds: float) -> None:
-        """Types a time beside the slider."""
-        self.run(
-            "(() => { const field = document.querySelector('input.mantine-NumberInput-input');"
-            "const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;"
-            f"field.focus(); set.call(field, '{seconds}');"
-            "field.dispatchEvent(new Event('input', {bubbles: true})); field.blur(); })()"
-        )
-
-    def picture(self) -> np.ndarray:
-        """(HIGH, WIDE, 3) what is on the screen, 0..255."""
-        content = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
-        return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), dtype=np.int16)
-
-    def close(self) -> None:
-        self._socket.close()
-        self._process.terminate()
-        self._process.wait(LONG)
 
 
 @pytest.fixture

@@ -56,8 +56,8 @@ def live(
             udp://HOST:PORT to listen for skeletons (docs/live.md), xsens://HOST:9763?person=0 for Xsens MVN
             (docs/mocap.md); without a HOST only this machine is heard. realsense:SERIAL?model=FILE is a camera
             (docs/cameras.md); ros1:, ros2: or dds:/TOPIC?type=PoseArray and bag:PATH are ROS (docs/ros.md).
-        sinks: ws://HOST:PORT to send predictions to all who connect, mcap:FILE for Foxglove, jsonl:FILE, ros1:, ros2:
-            or dds:/NAMESPACE, bag:PATH.
+        sinks: view://HOST:PORT to see it in a browser, ws://HOST:PORT to send predictions to all who connect, mcap:FILE
+            for Foxglove, jsonl:FILE, ros1:, ros2: or dds:/NAMESPACE, bag:PATH.
         model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles and goals, a YAML file.
         rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
@@ -94,7 +94,7 @@ def live(
             if fused is not None:
                 opened_sources.append(fused)
             open_sources(inputs, _frames, mailbox, network, opened_sources, fused)
-            open_sinks(outputs, network, opened_sinks)
+            open_sinks(outputs, network, opened_sinks, obstacles)
             loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
             for source in opened_sources:
                 print(f"source: {source.address}")

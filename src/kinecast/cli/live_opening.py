@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
 from kinecast.errors import OptionError
+from kinecast.geometry.scene import Scene
 from kinecast.live.loop import Source
 from kinecast.live.mcap import McapSink
 from kinecast.live.sinks import FileSink, JsonlSink, Sink
@@ -32,7 +33,10 @@ SOURCE_FORMS = (
     "ros1:, ros2: or dds:/TOPIC?type=PoseArray, bag:PATH?topic=/TOPIC"
 )
 REALSENSE_SETTINGS = ("model", "detector", "size", "rate", "tilt", "height", "camera")
-SINK_FORMS = "ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
+SINK_FORMS = (
+    "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
+)
+_DEFAULT_PORTS = {"xsens": DEFAULT_PORT, "view": 8080}
 _ROS = ("ros1", "ros2", "dds")
 _FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
 
@@ -43,7 +47,7 @@ class Description:
 
     Attributes:
         text: as written.
-        kind: "recording", "ws", "udp", "xsens", "realsense", "mcap", "jsonl", "ros1", "ros2", "dds" or
+        kind: "recording", "ws", "udp", "xsens", "realsense", "view", "mcap", "jsonl", "ros1", "ros2", "dds" or
             "bag".
         place: a path, the address, a camera's serial number, or a ROS name.
         settings: what stands behind the question mark.
@@ -94,7 +98,7 @@ def read_sink(text: str) -> Description:
     """
     wrong = f"--sink {text}: expected {SINK_FORMS}"
     if "://" in text:
-        return _address(text, ("ws",), ("format",), wrong)
+        return _address(text, ("ws", "view"), () if text.startswith("view:") else ("format",), wrong)
     kind, colon, path = text.partition(":")
     if kind in _ROS:
         from kinecast.cli import live_ros  # here, since ROS is an extra
@@ -202,19 +206,24 @@ def _deliverer(source: Description, feed: Feed, fused: FusedSource | None) -> De
     return fused.deliverer(camera, feed)
 
 
-def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink]) -> None:
+def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink], scene: Scene | None = None) -> None:
     """Opens sinks: addresses first, so that no file is replaced where one of them cannot be.
 
     Args:
         sinks: which.
         network: that they run in.
         opened: those opened are appended, also when one fails.
+        scene: obstacles and goals, for sinks that draw them.
 
     Raises:
         OptionError: one cannot be opened.
     """
     for each in sinks:
-        if isinstance(each.place, Address):
+        if isinstance(each.place, Address) and each.kind == "view":
+            from kinecast.service.live_view import LiveView  # here, since the view is an extra
+
+            opened.append(LiveView(each.place.host, each.place.port, scene, f"--sink {each.text}"))
+        elif isinstance(each.place, Address):
             opened.append(WebSocketSink(each.place, network, each.settings.get("format") == "msgpack"))
         elif isinstance(each.place, str):
             from kinecast.cli.live_ros import open_sink
@@ -234,7 +243,7 @@ def _address(text: str, schemes: tuple[str, ...], settings: tuple[str, ...], wro
     bare, _, query = text.partition("?")
     if bare.partition("://")[0] not in schemes:
         raise OptionError(wrong)
-    address = Address.parse(bare, DEFAULT_PORT if bare.startswith("xsens:") else None)
+    address = Address.parse(bare, _DEFAULT_PORTS.get(bare.partition("://")[0]))
     found = _settings(text, query, settings)
     if found.get("format", "json") not in ("json", "msgpack"):
         raise OptionError(f"{text}: format {found['format']}, allowed are json, msgpack")

@@ -13,7 +13,8 @@ from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.simulation import Simulation
 from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.service.runs import Setting
-from kinecast.service.viewer import Viewer, check_address
+from kinecast.service.server import check_address
+from kinecast.service.viewer import Viewer
 from kinecast.types import Decision
 
 __all__ = ["serve"]
@@ -34,7 +35,7 @@ def serve(host: str, port: int, scenario: str, predictor: str, cast: Cast, out: 
     Raises:
         OptionError: nothing can listen there, or no such predictor.
     """
-    check_address(host, port)
+    check_address(host, port, f"--host {host} --port {port}")
     if predictor not in PREDICTORS:
         raise OptionError(f"--predictor {predictor}: allowed are {', '.join(PREDICTORS)}")
     player, forecasters = cast.player(), Forecasters(cast.samples)

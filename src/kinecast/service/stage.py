@@ -9,11 +9,11 @@ from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.transforms import to_quaternion
-from kinecast.robot.body import TRUE_BODY, body_capsules
 from kinecast.robot.cell import TABLE_HEIGHT, TABLE_TOP, Cell, Cube
-from kinecast.robot.episode import Pose, Scenery
+from kinecast.robot.episode import Scenery
 from kinecast.robot.ur5 import LINKS, UR5
-from kinecast.service.colours import INK, MUTED, Colour, cube_colour
+from kinecast.service.colours import INK, MUTED, cube_colour
+from kinecast.service.nodes import LATE, OPACITY, REGION, SOON, CapsulesNode, People
 from kinecast.service.solids import capsule_faces, capsule_vertices, facing
 from kinecast.types import RobotState
 
@@ -25,15 +25,8 @@ except ImportError as error:  # pragma: no cover - the tests install it
 __all__ = ["Stage", "look"]
 
 LINK, JOINT, GRIPPER = (205, 211, 218), (92, 142, 190), (72, 80, 90)
-SHIRT, SKIN = (112, 132, 156), (224, 176, 140)
 TABLE, LEG = (224, 203, 165), (150, 136, 112)
-REGION, OPACITY = (255, 190, 40), 0.17
-SOON, LATE = np.array([255.0, 205.0, 60.0]), np.array([235.0, 90.0, 20.0])
-"""Predicted wrists, from now to the end of the horizon."""
 JOINTS = {"shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"}
-SKIN_PARTS = np.array([1, 2, 4, 5, 8])
-SHIRT_PARTS = np.array([0, 3, 6, 7])
-"""Of kinecast.robot.body.body_capsules: forearms, hands and head; upper arms, shoulders and trunk."""
 
 
 def look(camera: InitialCameraConfig) -> None:
@@ -63,8 +56,8 @@ class Stage:
             )
             for cube in cell.cubes
         }
-        self._people: list[tuple[Any, Any]] = []
-        self._tubes = self._capsules("/region/tubes", REGION, 9, opacity=OPACITY)
+        self._people = People(scene)
+        self._tubes = CapsulesNode(scene, "/region/tubes", REGION, OPACITY)
         self._cloud = scene.add_point_cloud(
             "/region/samples", np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8), point_size=0.006,
             point_shape="circle", point_shading="flat", precision="float32",
@@ -73,7 +66,6 @@ class Stage:
         self._tip = scene.add_arrows(
             "/plan/tip", np.zeros((0, 2, 3)), INK, shaft_radius=0.006, head_radius=0.024, head_length=0.06
         )
-        self._tube_count = 9
         self.layers = {"samples": True, "region": True, "plan": True}
 
     def show(self, moment: Scenery) -> None:
@@ -83,7 +75,7 @@ class Stage:
             handle.visible = name in moment.cubes
             if name in moment.cubes:
                 handle.position = moment.cubes[name]
-        self._show_people(moment.people)
+        self._people.show([(person.joints, person.positions) for person in moment.people])
         self._show_region(moment)
         self._show_plan(moment)
 
@@ -130,14 +122,6 @@ class Stage:
             )
         return nodes
 
-    def _capsules(self, name: str, colour: Colour, count: int, opacity: float | None = None) -> Any:
-        """A node of capsules without size, to be given one."""
-        nothing, solid = np.zeros((count, 3)), opacity is None
-        return self._scene.add_mesh_simple(
-            name, capsule_vertices(nothing, nothing, np.zeros(count)), capsule_faces(count), color=colour,
-            opacity=opacity, cast_shadow=solid, receive_shadow=solid,
-        )  # fmt: skip
-
     # What moves
 
     def _show_robot(self, q: Float[np.ndarray, "6"]) -> None:
@@ -146,27 +130,12 @@ class Stage:
         for node, middle, turn in zip(self._links, (start + end) / 2, to_quaternion(facing(end - start)), strict=True):
             node.position, node.wxyz, node.visible = middle, turn, True
 
-    def _show_people(self, people: tuple[Pose, ...]) -> None:
-        while len(self._people) < len(people):
-            name = f"/people/{len(self._people)}"
-            skin = self._capsules(f"{name}/skin", SKIN, len(SKIN_PARTS))
-            self._people.append((skin, self._capsules(f"{name}/shirt", SHIRT, len(SHIRT_PARTS))))
-        for k, nodes in enumerate(self._people):
-            for node, parts in zip(nodes, (SKIN_PARTS, SHIRT_PARTS), strict=True):
-                node.visible = k < len(people)
-                if k < len(people):
-                    body = body_capsules(people[k].joints, people[k].positions, TRUE_BODY)
-                    node.vertices = _corners(body.start[parts], body.end[parts], body.radius[parts])
-
     def _show_region(self, moment: Scenery) -> None:
         tubes, region = moment.tube, moment.region
-        self._tubes.visible = self.layers["region"] and len(tubes) > 0
-        if self._tubes.visible:
-            if len(tubes) != self._tube_count:
-                self._tubes.remove()
-                self._tubes = self._capsules("/region/tubes", REGION, len(tubes), opacity=OPACITY)
-                self._tube_count = len(tubes)
-            self._tubes.vertices = _corners(tubes[:, :3], tubes[:, 3:6], tubes[:, 6])
+        if self.layers["region"] and len(tubes) > 0:
+            self._tubes.show(tubes[:, :3], tubes[:, 3:6], tubes[:, 6])
+        else:
+            self._tubes.hide()
         self._cloud.visible = self.layers["samples"] and region.size > 0
         if self._cloud.visible:
             share = np.linspace(0.0, 1.0, region.shape[1])[None, :, None, None]
@@ -192,9 +161,3 @@ class Stage:
         last[0, 1] += 0.07 * heading
         self._way.points, self._way.colors = pieces, colour
         self._tip.points, self._tip.colors = last, colour
-
-
-def _corners(
-    start: Float[np.ndarray, "K 3"], end: Float[np.ndarray, "K 3"], radius: Float[np.ndarray, " K"]
-) -> Float[np.ndarray, "W 3"]:
-    return capsule_vertices(start, end, radius).astype(np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -15,7 +16,8 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.person import PlayedPerson
 from kinecast.robot.simulation import Simulation
 from kinecast.service.runs import Runs, Setting
-from kinecast.service.viewer import Viewer, check_address
+from kinecast.service.server import check_address
+from kinecast.service.viewer import Viewer
 from kinecast.service.words import decisions_html, figures_html, state_html
 from kinecast.types import Decision, Reaction, RobotState
 
@@ -82,9 +84,9 @@ def test_a_finished_run_can_be_gone_through(house: House) -> None:
     )  # fmt: skip
     assert set(stage._cubes) == {"red", "green", "blue"}
     np.testing.assert_allclose(stage._cubes["red"].position, moment.cubes["red"])
-    skin, shirt = stage._people[0]
+    skin, shirt = stage._people._bodies[0]
     assert skin.visible
-    assert np.abs(np.concatenate([skin.vertices, shirt.vertices]) - [1.1, 0, 0.4]).max() < 0.8
+    assert np.abs(np.concatenate([skin._node.vertices, shirt._node.vertices]) - [1.1, 0, 0.4]).max() < 0.8
     assert "all done" in panel._decisions.content
     assert panel._slider.value == pytest.approx(film.end, abs=0.03)
     assert panel._play.label == "Play"
@@ -183,16 +185,16 @@ def test_an_address_where_nothing_can_listen_is_named() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(OptionError, match=rf"--port {port}: nothing can listen there \(Address already in use"):
-            check_address("127.0.0.1", port)
+        with pytest.raises(OptionError, match=r"the view: nothing can listen there \(Address already in use"):
+            check_address("127.0.0.1", port, "the view")
     with pytest.raises(OptionError, match="allowed is 0"):
-        check_address("127.0.0.1", 70000)
-    with pytest.raises(OptionError, match=r"--host 192\.0\.2\.1"):  # reserved for documentation: nobody's
-        check_address("192.0.2.1", 0)
+        check_address("127.0.0.1", 70000, "the view")
+    with pytest.raises(OptionError, match="nothing can listen"):  # reserved for documentation: nobody's
+        check_address("192.0.2.1", 0, "the view")
 
 
 def test_the_server_listens_where_it_was_told_and_opens_no_tunnel(house: House) -> None:
-    assert house.viewer.url == f"http://127.0.0.1:{house.viewer.port}"
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+", house.viewer.url)
     assert house.viewer._server.get_host() == "127.0.0.1"
     assert house.viewer._server.request_share_url() is None
 

@@ -1,0 +1,79 @@
+"""A server that browsers connect to: on the address it was told, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+
+from kinecast.errors import MissingExtraError, OptionError
+
+try:
+    from viser import ViserServer
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("the browser view", "view") from error
+
+__all__ = ["check_address", "open_server", "stop_server", "url_of"]
+
+
+class _Server(ViserServer):
+    """A server that opens no tunnel to a public address, whoever asks for one."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
+        return None
+
+
+def open_server(host: str, port: int, name: str) -> ViserServer:
+    """A server with an empty scene and a panel on the right.
+
+    Args:
+        host, port: where it listens; port 0 is any that is free.
+        name: of the address in messages.
+
+    Raises:
+        OptionError: nothing can listen there.
+    """
+    check_address(host, port, name)
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
+        server = _Server(host, port, label="kinecast", verbose=False)
+    if port not in (0, server.get_port()):  # taken in the meantime, so that it went on to the next
+        stop_server(server)
+        raise OptionError(f"{name}: is taken")
+    server.gui.configure_theme(
+        control_width="large", show_logo=False, show_share_button=False, brand_color=(31, 120, 200)
+    )
+    server.gui.main_panel.dock_right()
+    return server
+
+
+def stop_server(server: ViserServer) -> None:
+    """Says goodbye to browsers and stops listening."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def url_of(server: ViserServer) -> str:
+    """What a browser on this machine opens."""
+    host = server.get_host()
+    name = "127.0.0.1" if host in ("0.0.0.0", "") else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{server.get_port()}"
+
+
+def check_address(host: str, port: int, name: str) -> None:
+    """Check that a server can listen there.
+
+    Raises:
+        OptionError: it cannot; the message says why.
+    """
+    if not 0 <= port <= 65535:
+        raise OptionError(f"{name}: allowed is 0 (any free one) to 65535")
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen()
+    except (OSError, UnicodeError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise OptionError(f"{name}: nothing can listen there ({why})") from None

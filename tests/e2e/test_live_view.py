@@ -1,0 +1,33 @@
+"""`kinecast live --sink view://…` in headless Chromium."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .browser import SCENE, Page, wait_for
+
+
+def test_people_and_their_predictions_are_seen_in_a_browser(
+    chromium: str, start: Callable[..., Any], tables: tuple[Path, Path], tmp_path: Path
+) -> None:
+    running = start("--source", f"recording:{tables[0]}?repeat=100", "--sink", "view://127.0.0.1:0")
+    page = Page(chromium, tmp_path / "profile", running.sinks[0])
+    try:
+        words = wait_for("a status", lambda: page.run("document.getElementById('live').innerText"))
+        assert str(tables[0]) in words
+
+        def drawn() -> bool:
+            scene = page.picture()[:, :SCENE]
+            skin = np.all([scene[..., 0] - scene[..., 2] > 45, scene[..., 0] > 150], axis=0)
+            shirt = np.all([scene[..., 2] - scene[..., 0] > 20, scene[..., 2] > 80], axis=0)
+            return bool(skin.sum() > 500 and shirt.sum() > 500)
+
+        wait_for("a person", drawn)
+    finally:
+        page.close()
+    said = running.end()
+    assert running.sinks[0] in said
