@@ -1,10 +1,11 @@
-"""`kinecast live` from end to end: a take at its pace to a WebSocket client and an MCAP file at once.
+"""`kinecast live` from end to end: a take at its pace to the browser view, a WebSocket client and an MCAP file at once.
 
 python -m benchmarks.live [--data RECORDING] [--minutes N] [--samples S] [--out JSON]
 
 The command runs in a process of its own, as a user starts it; this one is the client. A frame is acquired when it is
-due. Latency is until the client has it, and until the file has it: both processes read the same clock. Without --data
-a person is generated, at 100 Hz.
+due. Latency is until the client has it, and until the file has it: both processes read the same clock; for the view, until
+the picture is sent to the one who looks on, a client that reads all and draws nothing. Without --data a person is
+generated, at 100 Hz.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ import numpy as np
 from mcap.reader import make_reader
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from benchmarks.machine import facts, milliseconds, save
 from kinecast.datasets import table
@@ -75,14 +78,19 @@ def run(data: Path | None, minutes: float, samples: int, folder: Path) -> dict[s
     take = load(data)[0]
     repeat = int(np.ceil(60 * minutes / take.duration)) + 20
     source, out = f"recording:{data}?repeat={repeat}", folder / "live.mcap"
-    arguments = ("--source", source, "--sink", "ws://127.0.0.1:0", "--sink", f"mcap:{out}", "--samples", str(samples))
+    sinks = ("--sink", "ws://127.0.0.1:0", "--sink", f"mcap:{out}", "--sink", "view://127.0.0.1:0")
+    arguments = ("--source", source, *sinks, "--samples", str(samples))
     with subprocess.Popen((*COMMAND, *arguments), stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        sink = next(match[1] for line in process.stdout if (match := re.match(r"sink: (ws:\S+)", line)))
+        sink, view = (
+            next(match[1] for line in process.stdout if (match := re.match(rf"sink: ({scheme}:\S+)", line)))
+            for scheme in ("ws", "http")
+        )
         received: dict[int, float] = {}
         heard = threading.Event()
         client = threading.Thread(target=listen, args=(sink, received, heard), daemon=True)
         client.start()
+        threading.Thread(target=look_on, args=(view,), daemon=True).start()
         heard.wait(LONG)
         resident = [resident_mib(process.pid) for _ in seconds(60 * minutes)]
         process.send_signal(signal.SIGINT)
@@ -97,6 +105,8 @@ def account(summary: str, out: Path, received: dict[int, float], resident: list[
     assert counts is not None, summary
     frames, stale = map(int, counts.groups())
     dropped = [int(line.split()[2]) for line in re.findall(r"^(?:ws:|\S+\.mcap).*$", summary, re.MULTILINE)]
+    drawn = re.search(r"^http:\S+\s+(\d+)\s+(\d+)\s+(\S+)\s+(\S+)", summary, re.MULTILINE)
+    assert drawn is not None, summary
     acquired, written = {}, {}
     with out.open("rb") as file:
         for _, _, message in make_reader(file).iter_messages([PREDICTIONS]):
@@ -114,6 +124,12 @@ def account(summary: str, out: Path, received: dict[int, float], resident: list[
         "missed_by_client": sum(number not in received for number in acquired if number >= first),
         "to_file": milliseconds([written[number] - acquired[number] for number in acquired]),
         "to_client": milliseconds([received[number] - acquired[number] for number in received if number in acquired]),
+        "to_view": {
+            "count": int(drawn[1]),
+            "replaced": int(drawn[2]),
+            "p50_ms": float(drawn[3]),
+            "p99_ms": float(drawn[4]),
+        },
         "resident_mib": {"settled": settled[0], "last": settled[-1], "growth": max(settled) / settled[0] - 1},
     }
 
@@ -125,6 +141,17 @@ def listen(address: str, received: dict[int, float], heard: threading.Event) -> 
             for content in client:
                 received[json.loads(content)["number"]] = time.time()
                 heard.set()
+        except ConnectionClosed:
+            pass
+
+
+def look_on(address: str) -> None:
+    """Reads what a browser is sent, until the server says goodbye."""
+    url, protocol = address.replace("http:", "ws:"), Subprotocol(f"viser-v{version('viser')}")
+    with connect(url, proxy=None, open_timeout=LONG, subprotocols=[protocol], max_size=None) as client:
+        try:
+            for _ in client:
+                pass
         except ConnectionClosed:
             pass
 
