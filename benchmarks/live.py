@@ -3,9 +3,9 @@
 python -m benchmarks.live [--data RECORDING] [--minutes N] [--samples S] [--out JSON]
 
 The command runs in a process of its own, as a user starts it; this one is the client. A frame is acquired when it is
-due. Latency is until the client has it, and until the file has it: both processes read the same clock; for the view, until
-the picture is sent to the one who looks on, a client that reads all and draws nothing. Without --data a person is
-generated, at 100 Hz.
+due. Latency is until the client has it, and until the file has it: both processes read the same clock; for the view,
+until the picture is sent to the one who looks on, a client that reads all and draws nothing. Without --data a person
+is generated, at 100 Hz.
 """
 
 from __future__ import annotations
