@@ -45,6 +45,7 @@ def test_a_bag_is_played_into_bags_of_both_generations(
         ("dds:/arms?type=JointState&height=tall", "dds:", "height 'tall' is no number"),
         ("dds:/tf?domain=999", "dds:", "domain 999 is outside 0..232"),
         ("dds:/tf?domain=one", "dds:", "domain 'one' is no whole number"),
+        ("dds:/arms?type=MarkerArray&camera=left", "dds:", "a camera needs --rig"),
         ("dds:/tf?distro=noetic", "dds:", "distro 'noetic', expected humble or jazzy"),
         ("dds:/tf?network=a b", "dds:", "network 'a b' is no interface"),
         ("ros1:/tf?domain=1", "ros1:", "domain unknown; allowed are type, joints"),

@@ -156,14 +156,11 @@ def _source(
         speed, repeat = (_number(source, name) for name in ("speed", "repeat"))
         frames = _bag(source) if source.kind == "bag" else play(source.place)
         return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, int(repeat))
-    if source.kind in _ROS:
-        from kinecast.cli.live_ros import open_source
-
-        return open_source(source.text, source.kind, str(source.place), source.settings, mailbox.feed(source.text))
-    if isinstance(source.place, str):
+    if isinstance(source.place, str) and source.kind not in _ROS:
         return _realsense(source, source.place, mailbox, fused)
     feed = mailbox.feed(source.text)
     if source.kind == "xsens":
+        assert isinstance(source.place, Address)
         return UdpSource(
             source.place, feed, network, XsensAdmission(feed, XsensOptions.parse(source.settings, source.text))
         )
@@ -171,6 +168,10 @@ def _source(
         fused.expect(feed)
     _deliverer(source, feed, fused)
     admission = Admission(feed, fused, source.settings.get("camera", ""))
+    if isinstance(source.place, str):
+        from kinecast.cli.live_ros import open_source
+
+        return open_source(source.text, source.kind, source.place, source.settings, feed, admission)
     return (WebSocketSource if source.kind == "ws" else UdpSource)(source.place, feed, network, admission)
 
 

@@ -10,6 +10,7 @@ from kinecast.cli.progress import note
 from kinecast.errors import OptionError
 from kinecast.live.loop import Source
 from kinecast.live.sinks import MOST_WAITING, Sink
+from kinecast.perception.admission import Admission
 from kinecast.perception.mailbox import Feed
 from kinecast.ros.bags import BagWriter, read_frames
 from kinecast.ros.carrier import Carrier, RosSink, RosSource
@@ -35,12 +36,12 @@ __all__ = [
     "outgoing",
 ]
 
-_INPUT = ("type", "joints", "person", "frame", "height")
+_INPUT = ("type", "joints", "person", "frame", "height", "camera")
 _OUTPUT = ("outputs", "planning_scene", "parts", "thickness")
 _DDS = ("distro", "domain", "network")
 SOURCE_SETTINGS = {"ros1": _INPUT, "ros2": _INPUT, "dds": (*_INPUT, *_DDS)}
 SINK_SETTINGS = {"ros1": _OUTPUT, "ros2": _OUTPUT, "dds": (*_OUTPUT, *_DDS)}
-BAG_SETTINGS = ("topic", *_INPUT[1:], "speed", "repeat")
+BAG_SETTINGS = ("topic", *_INPUT[1:-1], "speed", "repeat")
 BAG_SINK_SETTINGS = ("namespace", *_OUTPUT, "distro", "storage")
 """What may stand behind the question mark."""
 ROOM = 8
@@ -85,13 +86,15 @@ def outgoing(text: str, namespace: str, settings: Mapping[str, str]) -> Outgoing
     return Outgoing(OutputOptions(namespace or "/kinecast", outputs, settings.get("planning_scene", ""), scene))
 
 
-def open_source(text: str, kind: str, topic: str, settings: Mapping[str, str], feed: Feed) -> Source:
+def open_source(
+    text: str, kind: str, topic: str, settings: Mapping[str, str], feed: Feed, admission: Admission
+) -> Source:
     """A source of one of the kinds of `SOURCE_SETTINGS`.
 
     Raises:
         OptionError: as `incoming`, or there is no ROS here.
     """
-    return RosSource(text, feed, incoming(text, topic, settings), _carrier(kind, settings))
+    return RosSource(text, feed, incoming(text, topic, settings), _carrier(kind, settings), admission)
 
 
 def open_sink(text: str, kind: str, namespace: str, settings: Mapping[str, str]) -> Sink:

@@ -69,17 +69,18 @@ class RosSource:
 
     Args:
         address: for messages.
-        feed: where frames go.
-        incoming: reads them.
+        feed: where bad messages are counted.
+        incoming: reads messages.
         carrier: is closed with the source.
+        admission: takes the frames.
     """
 
-    def __init__(self, address: str, feed: Feed, incoming: Incoming, carrier: Carrier) -> None:
+    def __init__(self, address: str, feed: Feed, incoming: Incoming, carrier: Carrier, admission: Admission) -> None:
         self.address = address
         self._feed = feed
         self._incoming = incoming
         self._carrier = carrier
-        self._admission = Admission(feed)
+        self._admission = admission
         self._lock = threading.Lock()
 
     def start(self) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.perception.admission import Admission
 from kinecast.perception.mailbox import Mailbox
 from kinecast.ros.carrier import RosSink, RosSource, Taker
 from kinecast.ros.incoming import Incoming, InputOptions
@@ -93,7 +94,7 @@ def test_any_other_error_costs_one_prediction(publish: Any, caplog: pytest.LogCa
 def test_a_source_counts_what_it_refuses_and_goes_on() -> None:
     wire, feed = Wire(), Mailbox().feed("wire")
     incoming = Incoming("/arms", "geometry_msgs/PoseArray", InputOptions(joints=",".join(ARM_JOINTS)))
-    source = RosSource("wire", feed, incoming, wire)
+    source = RosSource("wire", feed, incoming, wire, Admission(feed))
     source.start()
     poses = [{"position": dict(zip("xyz", xyz, strict=True))} for xyz in REST.tolist()]
     good = wire.messages.encode("geometry_msgs/PoseArray", {"header": {"stamp": 5.0}, "poses": poses})
