@@ -141,7 +141,7 @@ class _Fitting:
 
     @cached_property
     def _angles(self) -> Any:
-        return PostureSeries.fitting(self._workers, self._windows, self._options, self._noise)
+        return PostureSeries.fitting(self._workers, self._windows, self._postures, self._options, self._noise)
 
     @cached_property
     def _mixer(self) -> Any:
@@ -152,7 +152,7 @@ class _Fitting:
         """Stands for a trained method."""
         workers, windows, options = self._workers, self._windows, self._options
         if name == "gp_xyz":
-            return PositionSeries.fitting(workers, windows, options)
+            return PositionSeries.fitting(workers, windows, self._data, options)
         if name == "gp_angles":
             return self._angles
         if name == "gp_constrained":

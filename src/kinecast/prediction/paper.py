@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from kinecast.body.limits import JointLimits, posture_bounds
 from kinecast.body.placement import placed
@@ -23,12 +23,13 @@ from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.arrays import shaped
 from kinecast.prediction.draws import normals, uniforms
 from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
-from kinecast.prediction.gaussian import posture_coordinates
+from kinecast.prediction.gaussian import Examples
 from kinecast.prediction.mixture_density import PositionSeriesDensity, PostureSeriesDensity
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import RELATIVE, SERIES, roll_positions, roll_series
 from kinecast.prediction.series import SeriesStack, stack_from_arrays, stack_of
+from kinecast.prediction.sparse_gp import SparseGP
 from kinecast.prediction.training import SparseGPOptions, fit_sparse_gp
 from kinecast.tasks.workers import Workers
 
@@ -52,18 +53,50 @@ class SeriesOptions(Protocol):
     def iterations(self) -> int: ...
 
 
-def _fit(
-    workers: Workers, inputs: Float[np.ndarray, "D W N"], outputs: Float[np.ndarray, "D W"], options: SeriesOptions
-) -> Any:
-    """A process per series, each on the same random choice of windows; stands for a SeriesStack."""
+class _Series(NamedTuple):
+    """D series and their next values, at the windows that processes are trained on."""
+
+    inputs: Float[np.ndarray, "D W N"]
+    outputs: Float[np.ndarray, "D W"]
+    length_spread: Float[np.ndarray, "T 4"]
+
+
+def _chosen(inputs: Float[np.ndarray, "D W N"], options: SeriesOptions) -> Int[np.ndarray, " K"]:
+    """The same random choice of windows for every series."""
     windows = inputs.shape[1]
-    rows = np.sort(np.random.default_rng(options.seed).permutation(windows)[: options.points])
+    return np.sort(np.random.default_rng(options.seed).permutation(windows)[: options.points])
+
+
+def _position_series(windows: TrainingWindows, options: SeriesOptions) -> _Series:
+    """World coordinates as they are, as the paper has it."""
+    count, frames = windows.observed.shape[:2]
+    inputs = windows.observed.reshape(count, frames, 18).transpose(2, 0, 1)
+    outputs = windows.future[:, 0].reshape(count, 18).T
+    rows = _chosen(inputs, options)
+    return _Series(inputs[:, rows], outputs[:, rows], np.empty((0, len(LENGTHS))))
+
+
+def _posture_series(examples: Examples, options: SeriesOptions) -> _Series:
+    """Torso pose relative to its last value, angles as they are; how far bone lengths stray from their last value."""
+    series = list(SERIES)
+    inputs, outputs = examples.observed[:, :, series], examples.future[:, 0, series]
+    torso = np.array(SERIES) < RELATIVE
+    last = examples.observed[:, -1:, series][..., torso]
+    inputs[..., torso] -= last
+    outputs[:, torso] -= last[:, 0]
+    stray = examples.future[..., list(LENGTHS)] - examples.observed[:, -1:, list(LENGTHS)]
+    whole, rows = inputs.transpose(2, 0, 1), _chosen(inputs.transpose(2, 0, 1), options)
+    return _Series(whole[:, rows], outputs.T[:, rows], np.sqrt((stray**2).mean(axis=0) + 1e-6))
+
+
+def _process(series: _Series, place: int, options: SparseGPOptions) -> SparseGP:
+    return fit_sparse_gp(series.inputs[place], series.outputs[place, :, None], options)
+
+
+def _fit(workers: Workers, series: Any, count: int, options: SeriesOptions) -> Any:
+    """A process for each of the series; stands for a SeriesStack."""
     settings = SparseGPOptions(pseudo_inputs=options.pseudo_inputs, iterations=options.iterations, seed=options.seed)
-    fits = [
-        workers.submit(fit_sparse_gp, x, y, settings)
-        for x, y in zip(inputs[:, rows], outputs[:, rows, None], strict=True)
-    ]
-    return workers.submit(stack_of, fits)
+    return workers.submit(stack_of, [workers.submit(_process, series, place, settings) for place in range(count)])
 
 
 @dataclass(frozen=True)
@@ -76,13 +109,17 @@ class PositionSeries:
     stack: SeriesStack
 
     @staticmethod
-    def fitting(workers: Workers, windows: TrainingWindows, options: SeriesOptions) -> Any:
-        """One process per coordinate, from the raw world positions as the paper has it; stands for the method."""
-        count, frames = windows.observed.shape[:2]
-        inputs = windows.observed.reshape(count, frames, 18).transpose(2, 0, 1)
-        outputs = windows.future[:, 0].reshape(count, 18).T
-        stack = _fit(workers, inputs, outputs, options)
-        return workers.submit(PositionSeries, frames, windows.future.shape[1], windows.dt, stack)
+    def fitting(workers: Workers, windows: TrainingWindows, data: Any, options: SeriesOptions) -> Any:
+        """One process per coordinate; stands for the method.
+
+        Args:
+            workers: that do the tasks.
+            windows: to train on.
+            data: stands for the same.
+            options: of training.
+        """
+        stack = _fit(workers, workers.submit(_position_series, data, options), 18, options)
+        return workers.submit(PositionSeries, *windows.shape, stack)
 
     def forecast(
         self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
@@ -129,23 +166,20 @@ class PostureSeries:
     limits: JointLimits | None = None
 
     @staticmethod
-    def fitting(workers: Workers, windows: TrainingWindows, options: SeriesOptions, noise: float) -> Any:
-        """One process per coordinate; torso pose relative to its last value, angles as they are.
+    def fitting(workers: Workers, windows: TrainingWindows, examples: Any, options: SeriesOptions, noise: float) -> Any:
+        """One process per coordinate; stands for the method, without limits.
 
-        Stands for the method, without limits.
+        Args:
+            workers: that do the tasks.
+            windows: to train on.
+            examples: stands for their `posture_examples`.
+            options: of training.
+            noise: spread of a measured joint about the true one [m].
         """
-        observed, future = posture_coordinates(windows.points, windows.future_points)
-        series = list(SERIES)
-        inputs, outputs = observed[:, :, series], future[:, 0, series]
-        torso = np.array(SERIES) < RELATIVE
-        last = observed[:, -1:, series][..., torso]
-        inputs[..., torso] -= last
-        outputs[:, torso] -= last[:, 0]
-        stack = _fit(workers, inputs.transpose(2, 0, 1), outputs.T, options)
-        stray = future[..., list(LENGTHS)] - observed[:, -1:, list(LENGTHS)]
-        length_spread = np.sqrt((stray**2).mean(axis=0) + 1e-6)
-        shape = (observed.shape[1], future.shape[1], windows.dt)
-        return workers.submit(PostureSeries, *shape, stack, length_spread, noise)
+        series = workers.submit(_posture_series, examples, options)
+        return workers.submit(
+            _posture_method, windows.shape, _fit(workers, series, len(SERIES), options), series, noise
+        )
 
     def with_limits(self, limits: JointLimits | None) -> PostureSeries:
         """The same processes, constrained or free."""
@@ -202,3 +236,7 @@ class PostureSeries:
         if not (spread > 0).all():
             raise ModelError("array length_spread holds values that are not above 0")
         return PostureSeries(frames, steps, dt, stack, spread, noise, limits)
+
+
+def _posture_method(shape: tuple[int, int, float], stack: SeriesStack, series: _Series, noise: float) -> PostureSeries:
+    return PostureSeries(*shape, stack, series.length_spread, noise)
