@@ -98,8 +98,9 @@ def both_ways(process: subprocess.Popen[str], other: DomainParticipant, distribu
             time.sleep(0.05)
         pytest.fail("what was waited for did not come")
 
-    message = wait(told, lambda message: message.person == name)
-    assert (message.header.frame_id, len(message.steps)) == ("camera", 15)
+    message = wait(told, lambda message: message.person == name and bool(message.steps))
+    assert message.header.frame_id == "camera"
+    assert len(message.steps) <= 15  # those that had passed are left out
     observed = [[each.x, each.y, each.z] for each in message.observed]
     np.testing.assert_array_equal(observed, sent[message.header.stamp.sec, round(message.header.stamp.nanosec, -3)])
     assert len(wait(drawn).markers) == 3

@@ -239,7 +239,7 @@ def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> No
         (("--source", "recording:{table}?speed=fast", "--sink", "ws://:0"), "speed 'fast' is no number"),
         (("--source", "recording:{table}?speed=0", "--sink", "ws://:0"), "speed 0 is outside 0.01..1000"),
         (("--sink", "ws://:0"), "--source: at least one is needed"),
-        (("--source", "ws://:0", "--sink", "printer"), "--sink printer: expected ws://HOST:PORT"),
+        (("--source", "ws://:0", "--sink", "printer"), "--sink printer: expected view://HOST:PORT"),
         (("--source", "ws://:0", "--sink", "mcap:out.bag"), "its name must end in .mcap"),
         (("--source", "ws://:0", "--sink", "mcap:/nowhere/out.mcap"), "there is no folder /nowhere"),
         (("--source", "ws://:0", "--sink", "ws://:0?format=xml"), "format xml, allowed are json, msgpack"),
