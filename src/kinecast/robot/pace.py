@@ -115,5 +115,10 @@ def _separations(
     results = []
     for k in (1, 2):
         velocity = (capsules.start[k] - arm[0]) / moment, (capsules.end[k] - arm[1]) / moment
-        results.append(separation(arm, velocity, person, (seen.start_velocity, seen.end_velocity), seen.age, options))
+        results.append(
+            separation(
+                arm, velocity, person, (seen.start_velocity, seen.end_velocity), seen.age, options,
+                (seen.start_velocity_now, seen.end_velocity_now),
+            )
+        )  # fmt: skip
     return results[0], results[1]

@@ -89,6 +89,7 @@ def separation(
     person_velocity: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]],
     age: Float[np.ndarray, " K"],
     options: SeparationOptions,
+    person_velocity_now: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]] | None = None,
 ) -> Separation:
     """Compares every capsule of the arm with every capsule of the persons.
 
@@ -99,10 +100,12 @@ def separation(
         person_velocity: of their starts and ends [m/s]; NaN where it is not known.
         age: (K,) of the measurements [s].
         options: see SeparationOptions.
+        person_velocity_now: another estimate: the one that is faster towards the arm counts; NaN where there is none.
     """
     o = options
+    now = person_velocity if person_velocity_now is None else person_velocity_now
     result = _separation(
-        *arm, *arm_velocity, *person, *person_velocity, age,
+        *arm, *arm_velocity, *person, *person_velocity, *now, age,
         o.reaction, o.braking, o.unknown_speed, o.least_speed, o.constant, o.oldest,
         o.across,
     )  # fmt: skip
@@ -140,7 +143,8 @@ def closest_points(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarra
 @njit(cache=True)
 @no_type_check
 def _separation(
-    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, age, reaction, braking, unknown, least, constant, oldest, across
+    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, wb0, wb1, age,
+    reaction, braking, unknown, least, constant, oldest, across,
 ):  # fmt: skip
     nearest, worst, required, scale, link = np.inf, np.inf, 0.0, 1.0, -1
     for i in range(len(ar)):
@@ -154,14 +158,17 @@ def _separation(
             if not way >= 0.0:  # NaN
                 continue
             distance = way - ar[i] - br[j]
-            robot = human = speed = 0.0
+            robot = human = gaining = speed = 0.0
             for k in range(3):
                 direction = gap[k] / max(way, 1e-9)
                 robot += direction * ((1 - s) * va0[i, k] + s * va1[i, k])
                 speed += ((1 - s) * va0[i, k] + s * va1[i, k]) ** 2
                 human -= direction * ((1 - t) * vb0[j, k] + t * vb1[j, k])
+                gaining -= direction * ((1 - t) * wb0[j, k] + t * wb1[j, k])
             if not abs(human) < np.inf or age[j] > oldest:
                 human = unknown
+            elif gaining > human:
+                human = gaining
             robot += across * math.sqrt(max(speed - robot * robot, 0.0))
             human, robot = max(human, least), max(robot, 0.0)
             fixed = constant + human * (age[j] + reaction)

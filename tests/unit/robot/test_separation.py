@@ -83,6 +83,23 @@ def test_a_share_of_the_speed_across_counts_as_towards_the_person(distance: floa
     assert moving((-0.3 * 0.8, 0.8, 0.0)).scale == 1.0  # drawing back more than across
 
 
+def test_who_gains_speed_counts_as_that_fast() -> None:
+    start, end, radius = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0.1])
+    away, arm = np.array([[1.0, 0.0, 0.0]]), np.array([[0.5, 0.0, 0.0]])
+
+    def required(measured: float, now: float) -> float:
+        slow, fast = np.array([[-measured, 0.0, 0.0]]), np.array([[-now, 0.0, 0.0]])
+        return separation(
+            (start, end, radius), (arm, arm), (start + away, end + away, radius), (slow, slow), np.zeros(1), OPTIONS,
+            (fast, fast),
+        ).required  # fmt: skip
+
+    assert required(0.3, 0.9) == pytest.approx(needed(0.5, 0.9))
+    assert required(0.9, 0.3) == pytest.approx(needed(0.5, 0.9))
+    assert required(0.3, np.nan) == pytest.approx(needed(0.5, 0.3))
+    assert required(np.nan, np.nan) == pytest.approx(needed(0.5, 1.6))
+
+
 def test_who_stands_still_may_start() -> None:
     assert pair(0.5, 0.5, -1.0).required == pytest.approx(needed(0.5, OPTIONS.least_speed))
 
