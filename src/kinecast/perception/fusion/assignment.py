@@ -21,9 +21,14 @@ LEAST_SHARED = 3
 
 
 def distance(sighting: Sighting, states: JointStates) -> float:
-    """How far a sighting is from a person, 0..1.
+    """How far a sighting is from a person, 0..1; see `_distance`."""
+    return _distance(sighting, states, *states.at(sighting.stamp))
 
-    Squared Mahalanobis distances of pixels and depths, each up to its limit.
+
+def _distance(
+    sighting: Sighting, states: JointStates, places: Float[np.ndarray, "J 3"], spread: Float[np.ndarray, "J 3 3"]
+) -> float:
+    """Squared Mahalanobis distances of pixels and depths from where joints should be (J, 3), each up to its limit.
 
     Returns:
         Their mean share of the limit, over joints that are seen and known; inf where these are too few.
@@ -31,7 +36,7 @@ def distance(sighting: Sighting, states: JointStates) -> float:
     both = sighting.seen[:, 0] & states.known
     if both.sum() < LEAST_SHARED:
         return np.inf
-    then, covariance = (part[both] for part in states.at(sighting.stamp))
+    then, covariance = places[both], spread[both]
     rows, deep = sighting.rows[both], sighting.seen[both, 1]
     z = then @ sighting.axis[:3] + sighting.axis[3]
     off = np.einsum("jrx,jx->jr", rows, then) - sighting.values[both]
@@ -48,7 +53,11 @@ def assign(sightings: Sequence[Sighting], persons: Sequence[JointStates]) -> lis
     found: list[int | None] = [None] * len(sightings)
     if not sightings or not persons:
         return found
-    costs: Float[np.ndarray, "N M"] = np.array([[distance(s, p) for p in persons] for s in sightings])
+    columns = []
+    for person in persons:
+        there = person.at(sightings[0].stamp)  # all are of one image
+        columns.append([_distance(sighting, person, *there) for sighting in sightings])
+    costs: Float[np.ndarray, "N M"] = np.array(columns).T
     for row, column in zip(*linear_sum_assignment(np.minimum(costs, 1.0)), strict=True):
         if costs[row, column] < LIMIT:
             found[row] = int(column)

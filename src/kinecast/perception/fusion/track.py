@@ -116,8 +116,8 @@ class PersonTrack:
     def apart(self, other: PersonTrack) -> float:
         """Median distance between this person's joints and another's [m]; inf where they share none."""
         away = np.linalg.norm(self.states.mean[:, 0] - other.states.mean[:, 0], axis=1)
-        away = away[np.isfinite(away)]
-        return float(np.median(away)) if len(away) else np.inf
+        away = np.sort(away[np.isfinite(away)])
+        return float(away[len(away) // 2]) if len(away) else np.inf
 
     def frame(self, frame_id: str) -> SkeletonFrame:
         """What is known now, as a skeleton of the joints that were ever seen."""
