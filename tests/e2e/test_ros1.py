@@ -54,7 +54,7 @@ def ros(debian: Callable[..., None], tmp_path_factory: pytest.TempPathFactory) -
         debian(*PACKAGES)
     if missing():
         pytest.skip("no ROS 1, and Debian's packages could not be installed with apt-get")
-    importing = (sys.executable, "-c", "from kinecast.ros.ros1 import import_rospy; import_rospy()")
+    importing = (sys.executable, "-c", "import sys; sys.path.append('/usr/lib/python3/dist-packages'); import rospy")
     if (done := subprocess.run(importing, capture_output=True, text=True, check=False)).returncode != 0:
         pytest.skip(f"the system's rospy is not of this Python: {done.stderr.splitlines()[-1]}")
     home, port = tmp_path_factory.mktemp("ros"), free_port()
