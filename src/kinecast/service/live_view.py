@@ -28,8 +28,8 @@ except ImportError as error:  # pragma: no cover - the tests install it
 
 __all__ = ["LiveView"]
 
-PERIOD = 1 / 30
-"""Between two pictures [s]."""
+REST, PATIENCE = 0.025, 0.012
+"""Between two pictures [s]; after that the next prediction is drawn as it comes, or, after so long, the last one."""
 GONE = 1.0
 """A person without a newer prediction for so long is drawn no more [s]."""
 MOST_SHOWN = 16
@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 
 
 class LiveView:
-    """Draws the newest prediction of every person 30 times a second: body, arms at every step, tubes, status.
+    """Draws the newest prediction of every person about 30 times a second: body, arms at every step, tubes, status.
 
     Args:
         host, port: where it listens; port 0 is any that is free.
@@ -62,6 +62,7 @@ class LiveView:
         self._waiting: dict[tuple[str, str], Publication] = {}
         self._shown: dict[tuple[str, str], tuple[Publication, float]] = {}
         self._lock = threading.Lock()
+        self._arrived = threading.Event()
         self._closing = threading.Event()
         self._complained = False
         self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
@@ -72,6 +73,7 @@ class LiveView:
         with self._lock:
             self.tally.dropped += publication.key in self._waiting
             self._waiting[publication.key] = publication
+        self._arrived.set()
 
     def close(self) -> None:
         """See kinecast.live.sinks.Sink."""
@@ -80,7 +82,9 @@ class LiveView:
         stop_server(self._server)
 
     def _run(self) -> None:
-        while not self._closing.wait(PERIOD):
+        while not self._closing.wait(REST):
+            self._arrived.clear()
+            self._arrived.wait(PATIENCE)
             try:
                 self._refresh(time.monotonic())
             except Exception:
