@@ -68,6 +68,7 @@ class TestHelp:
             "evaluate",
             "predict",
             "live",
+            "calibrate",
             "simulate",
         ]
 

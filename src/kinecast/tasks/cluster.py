@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -32,9 +33,10 @@ except ImportError as error:  # pragma: no cover - the tests install it
 
 __all__ = ["Cluster", "cluster_at", "worker_count"]
 
-THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
 ENVIRONMENT = {**dict.fromkeys(THREADS, "1"), "OMP_WAIT_POLICY": "PASSIVE"}
-"""Of a worker on this machine: one thread, since there are as many workers as cores."""
+"""Of a worker on this machine: one thread, since there are as many workers as cores. Dask sets it in this process too
+while one starts, so that numba, which would take it for this process, is told by each task."""
 PATIENCE = 60
 """How long the first worker may take to come [s]."""
 DEATHS = 3
@@ -223,5 +225,12 @@ def facts() -> dict[str, str]:
             found[package] = version(package)
         except PackageNotFoundError:
             found[package] = "(none)"
-    kinds = {str(pool.get("architecture")) for pool in threadpool_info() if pool["user_api"] == "blas"}
+    pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    kinds = {str(pool.get("architecture")) for pool in pools if not _brought_along(Path(pool["filepath"]))}
     return {**found, "BLAS": "/".join(sorted(kinds))}
+
+
+def _brought_along(library: Path) -> bool:
+    """Whether it is one that a wheel other than NumPy's and SciPy's, such as OpenCV's, has for itself."""
+    folder = library.parent.name
+    return folder.endswith(".libs") and folder not in ("numpy.libs", "scipy.libs")
