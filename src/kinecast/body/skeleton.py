@@ -16,7 +16,7 @@ from kinecast.errors import DatasetError
 __all__ = [
     "ARM_JOINTS", "AZURE_KINECT_32", "BVH_COLLAR", "BVH_FOREARM", "COCO_17", "HA4M_ARMS_14", "HA4M_UPPER_23",
     "JOINTS", "KTH_13", "LEGO_6", "MEDIAPIPE_33", "SKELETONS", "VICON", "XSENS_23", "ZED_34",
-    "Skeleton", "require_arms",
+    "Skeleton", "require_arms", "without_side",
 ]  # fmt: skip
 
 ARM_JOINTS = (
@@ -92,6 +92,11 @@ class Skeleton:
                 raise DatasetError(where, f"{sources[joint]!r} and {source_name!r} both mean {joint}")
             sources[joint] = source_name
         return tuple(sources)
+
+
+def without_side(joint: str) -> str:
+    """`wrist` for `left_wrist` and `right_wrist`."""
+    return joint.removeprefix("left_").removeprefix("right_")
 
 
 def require_arms(joints: Iterable[str], where: object) -> None:

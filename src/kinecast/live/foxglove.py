@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.live.publication import Publication, arms_of
-from kinecast.types import LIMBS, SkeletonFrame, Status
+from kinecast.live.publication import Publication, arms_of, colour_of
+from kinecast.types import LIMBS, SkeletonFrame
 
 __all__ = ["SCENE_UPDATE", "scene_update", "skeleton_update"]
 
@@ -25,9 +25,6 @@ ABOVE = np.array([0.0, 0.0, 0.3])
 Colour = tuple[float, float, float]
 Point = Sequence[float]
 
-_SURE: Colour = (0.25, 0.75, 0.35)
-_UNSURE: Colour = (0.95, 0.65, 0.15)
-_LOST: Colour = (0.9, 0.2, 0.2)
 _SEEN: Colour = (0.85, 0.85, 0.85)
 _NO_TURN = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 _ORIGIN = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _NO_TURN}
@@ -41,8 +38,7 @@ def scene_update(publication: Publication, time: float) -> dict[str, Any]:
         time: of the drawing [s], 0 or more.
     """
     prediction, tubes = publication.prediction, publication.tubes
-    colour = _LOST if prediction.status in (Status.FAULT, Status.BLOCKED) else _UNSURE
-    colour = _SURE if prediction.status is Status.OK else colour
+    colour = colour_of(prediction.status)
     observed = arms_of(publication.frame)
     steps = len(prediction.times)
     lines = [_lines(observed, _SEEN, 1.0, 0.03)]

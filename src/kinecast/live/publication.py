@@ -10,10 +10,11 @@ import msgspec
 import numpy as np
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.types import Prediction, SkeletonFrame, Tubes
+from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
-__all__ = ["SCHEMA", "Publication", "arms_of"]
+__all__ = ["SCHEMA", "Publication", "arms_of", "colour_of"]
 
+_GREEN, _AMBER, _RED = (0.25, 0.75, 0.35), (0.95, 0.65, 0.15), (0.9, 0.2, 0.2)
 UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
 """Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
 TENTH_OF_MILLIMETRE = 4
@@ -95,6 +96,13 @@ class Publication:
     def msgpack(self) -> bytes:
         """The message as msgpack."""
         return _MSGPACK.encode(self.message)
+
+
+def colour_of(status: Status) -> tuple[float, float, float]:
+    """Red, green and blue [0..1] that what is predicted is drawn in: green, amber, or red where it says nothing."""
+    if status is Status.OK:
+        return _GREEN
+    return _RED if status in (Status.FAULT, Status.BLOCKED) else _AMBER
 
 
 def arms_of(frame: SkeletonFrame) -> np.ndarray:

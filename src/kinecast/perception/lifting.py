@@ -8,9 +8,9 @@ from jaxtyping import Float
 from kinecast.geometry.transforms import transform
 from kinecast.perception.camera import PinholeCamera
 from kinecast.perception.depth import DepthImage
-from kinecast.perception.fusion.sighting import FLESH, FLESH_STD
-from kinecast.perception.pose_estimator import LEAST_CONFIDENCE, Keypoints
-from kinecast.perception.view import View
+from kinecast.perception.fusion.sighting import FLESH_STD, flesh_of
+from kinecast.perception.pose_estimator import Keypoints
+from kinecast.perception.view import LEAST_CONFIDENCE, View
 from kinecast.types import SkeletonFrame
 
 __all__ = ["lifted", "standing", "view_of"]
@@ -36,9 +36,8 @@ def lifted(view: View, camera: PinholeCamera, frame_id: str = "world") -> Skelet
     Returns:
         The frame with Σ = J⁻¹ diag(σ_px², σ_px², σ_d²) J⁻ᵀ of each joint (`PinholeCamera.covariance`), and √(tr Σ / 3).
     """
-    deep = np.array([FLESH.get(joint.removeprefix("left_").removeprefix("right_"), 0.0) for joint in view.joints])
     skin = camera.back_project(view.pixels, view.depth)
-    positions = skin + camera.rays(view.pixels) * deep[:, None]
+    positions = skin + camera.rays(view.pixels) * flesh_of(view.joints)[:, None]
     positions[~(view.confidence >= LEAST_CONFIDENCE)] = np.nan
     covariance = camera.covariance(positions, view.pixel_std, np.hypot(view.depth_std, FLESH_STD))
     std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)

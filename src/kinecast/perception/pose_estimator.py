@@ -13,19 +13,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from kinecast.body.skeleton import COCO_17
+from kinecast.body.skeleton import COCO_17, without_side
 from kinecast.errors import MissingExtraError, ModelError
 from kinecast.perception.onnx_model import ImageModel
+from kinecast.perception.view import LEAST_CONFIDENCE
 
 try:
     import cv2
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("cameras", "camera") from error
 
-__all__ = ["LEAST_CONFIDENCE", "Keypoints", "PoseEstimator"]
+__all__ = ["Keypoints", "PoseEstimator"]
 
-LEAST_CONFIDENCE = 0.3
-"""Below it a keypoint is not taken as seen: the threshold that mmpose draws by default."""
 PADDING = 1.25
 MEAN = np.array([123.675, 116.28, 103.53], dtype=np.float32)
 SCALE = np.array([58.395, 57.12, 57.375], dtype=np.float32)
@@ -103,8 +102,7 @@ class PoseEstimator:
             raise ModelError(f"{path}: {count} keypoints; known are {known} (COCO, Halpe, COCO-WholeBody)")
         self._columns = [column for column, joint in enumerate(_NAMES[count]) if joint is not None]
         self.joints = tuple(joint for joint in _NAMES[count] if joint is not None)
-        plain = [joint.removeprefix("left_").removeprefix("right_") for joint in self.joints]
-        self._spread = np.array([_SPREAD.get(joint, _OTHERS) for joint in plain])
+        self._spread = np.array([_SPREAD.get(without_side(joint), _OTHERS) for joint in self.joints])
 
     def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Keypoints:
         """The keypoints of whoever is in a box.

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-__all__ = ["Deliver", "View"]
+__all__ = ["LEAST_CONFIDENCE", "Deliver", "View"]
+
+LEAST_CONFIDENCE = 0.3
+"""Below it a joint is not taken as seen: the threshold from which mmpose draws one by default."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.live.publication import UPPER_TRIANGLE, Publication, arms_of
+from kinecast.live.publication import UPPER_TRIANGLE, Publication, arms_of, colour_of
 from kinecast.types import LIMBS, Status
 
 __all__ = ["MARKERS", "distribution", "joint_pose", "markers", "no_markers", "pose_array"]
@@ -26,8 +26,6 @@ ABOVE = 0.3
 UNKNOWN_TURN = math.pi**2
 """Variance of an angle of which nothing is known [rad²]."""
 
-_COLOURS = {Status.OK: (0.25, 0.75, 0.35), Status.FAULT: (0.9, 0.2, 0.2), Status.BLOCKED: (0.9, 0.2, 0.2)}
-_UNSURE = (0.95, 0.65, 0.15)
 _SEEN = (0.85, 0.85, 0.85)
 
 
@@ -104,7 +102,7 @@ def markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
         lifetime: how long it stays without a newer one [s].
     """
     prediction = publication.prediction
-    colour = _COLOURS.get(prediction.status, _UNSURE)
+    colour = colour_of(prediction.status)
     observed = arms_of(publication.frame)
     fading = 0.9 - 0.7 * np.arange(len(prediction.mean)) / max(len(prediction.mean), 1)
     top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from kinecast.body.skeleton import without_side
 from kinecast.perception.camera import PinholeCamera
-from kinecast.perception.view import View
+from kinecast.perception.view import LEAST_CONFIDENCE, View
 from kinecast.types import SkeletonFrame
 
-__all__ = ["FLESH", "FUSED_JOINTS", "Sighter", "Sighting"]
+__all__ = ["FLESH", "FUSED_JOINTS", "Sighter", "Sighting", "flesh_of"]
 
 FLESH = {
     "shoulder": 0.050, "elbow": 0.035, "wrist": 0.025, "hip": 0.090, "knee": 0.050, "ankle": 0.040, "hand": 0.015,
@@ -42,9 +43,6 @@ FUSED_JOINTS = tuple(
 PLACE_STD = 0.005
 ANGLE_STD = 1.7e-3
 """How well a camera's place [m] and direction [rad] are known: `kinecast calibrate` by hand, docs/decisions/0022."""
-LEAST_CONFIDENCE = 0.3
-"""Below it a joint is not taken as seen: from where pose estimators' demos draw a joint. Above, a joint of confidence c
-is taken to be 1/c times as far off as its view says."""
 LEAST_PIXEL_STD = 0.5
 NEAR, FAR = 0.1, 20.0
 """Depths that are believed [m]."""
@@ -82,6 +80,11 @@ class Sighting:
     axis: Float[np.ndarray, " 4"]
 
 
+def flesh_of(joints: Sequence[str]) -> Float[np.ndarray, " J"]:
+    """(J,) from the skin to each joint's centre [m]."""
+    return np.array([FLESH.get(without_side(joint), 0.0) for joint in joints])
+
+
 class Sighter:
     """Makes sightings of one camera.
 
@@ -94,7 +97,7 @@ class Sighter:
         self.camera = camera
         self.joints = tuple(joints)
         self._columns = {joint: column for column, joint in enumerate(self.joints)}
-        self._flesh = np.array([FLESH.get(joint.removeprefix("left_").removeprefix("right_"), 0.0) for joint in joints])
+        self._flesh = flesh_of(self.joints)
         self._known: dict[tuple[str, ...], tuple[Sequence[int], Sequence[int]]] = {}
 
     def of_view(self, view: View, stamp: float) -> Sighting:
@@ -115,6 +118,7 @@ class Sighter:
             depth_std = np.where((depth_std > 0) & (depth_std < FAR), depth_std, STEREO_STD * depth**2)
             told = (pixel_std > 0) & (pixel_std < i.width)
             pixel_std = pixel_std if told.all() else np.where(told, pixel_std, _pixel_std(pixels))
+            # A joint of confidence c is taken to be 1/c times as far off as its view says.
             pixel_std = np.maximum(pixel_std, LEAST_PIXEL_STD) / np.clip(confidence, LEAST_CONFIDENCE, 1)
         directions = i.directions(pixels)
         seen = np.isfinite(directions).all(axis=1)

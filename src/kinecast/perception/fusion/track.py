@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool
 
+from kinecast.body.skeleton import without_side
 from kinecast.perception.fusion.consensus import Agreement, agree, stacked
 from kinecast.perception.fusion.motion import JointStates
 from kinecast.perception.fusion.reach import ANCHOR_STD, Reach
@@ -54,8 +55,7 @@ class PersonTrack:
     def __init__(self, joints: tuple[str, ...], stamp: float, reach: Reach) -> None:
         self.person = ""
         self.joints = joints
-        plain = [joint.removeprefix("left_").removeprefix("right_") for joint in joints]
-        accelerations = np.array([ACCELERATIONS.get(joint, ACCELERATION) for joint in plain])
+        accelerations = np.array([ACCELERATIONS.get(without_side(joint), ACCELERATION) for joint in joints])
         self.states = JointStates(accelerations, stamp)
         self.rounds = 0
         self._doubts = np.zeros(len(joints), dtype=np.int64)
