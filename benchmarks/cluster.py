@@ -1,12 +1,13 @@
 """`kinecast evaluate --cluster`: one worker beside two, the same scores, a worker killed, and what AMASS would take.
 
 python -m benchmarks.cluster --data FOLDER [--only speed kill estimate] [--test TASK] [--methods a,b,c]
-    [--samples S] [--repeats R] [--windows W] [--out JSON]
+    [--samples S] [--repeats R] [--rounds N] [--windows W] [--out JSON]
 
 FOLDER holds the Vicon recordings: a folder of takes a task. Methods are trained on every task but one and scored on
-that one. `speed` runs the command as a user does: in one process, with one worker, with two. `kill` runs it with two
-workers once more and kills one in the middle. `estimate` times every kind of task on W and on a quarter of the training
-windows, takes their cost as linear between, and adds up what 45 hours on 64 workers would take.
+that one. `speed` runs the command as a user does: in one process, with one worker, with two, N times in turn, since
+machines have slower and faster minutes. `kill` runs it with two workers once more and kills one in the middle.
+`estimate` times every kind of task on W and on a quarter of the training windows, takes their cost as linear between,
+and adds up what 45 hours on 64 workers would take.
 """
 
 from __future__ import annotations
@@ -133,13 +134,21 @@ def _kill_a_worker(parent: int) -> int:
     return int(victim.pid)
 
 
-def speed(data: Path, arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """The three runs, and whether their scores are equal to the last bit."""
-    runs = {}
-    for name, more in RUNS.items():
-        runs[name] = run(command(data, arguments, folder / name, more), folder / name)
-        print(f"{name:22} wall {runs[name]['wall_s']:7.1f} s   CPU {runs[name]['cpu_s']:7.1f} s", flush=True)
+def speed(data: Path, arguments: argparse.Namespace, folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """The three runs in turn, forwards and backwards."""
+    runs: dict[str, list[dict[str, Any]]] = {name: [] for name in RUNS}
+    for turn in range(arguments.rounds):
+        for name, more in list(RUNS.items())[:: -1 if turn % 2 else 1]:
+            out = folder / f"{name} {turn}"
+            runs[name].append(run(command(data, arguments, out, more), out))
+            told(name, runs[name][-1])
     return runs
+
+
+def told(name: str, found: dict[str, Any]) -> None:
+    """A run on the terminal."""
+    killed = "" if found["killed"] is None else f"   (process {found['killed']} killed)"
+    print(f"{name:22} wall {found['wall_s']:7.1f} s   CPU {found['cpu_s']:7.1f} s{killed}", flush=True)
 
 
 def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str, Any]:
@@ -239,23 +248,22 @@ def main() -> None:
     parser.add_argument("--methods", default=METHODS)
     parser.add_argument("--samples", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=25)
+    parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--windows", type=int, default=10**9)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
-    before, result = facts(), {}
+    before, result = facts(), dict[str, Any]()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if {"speed", "kill"} & set(arguments.only):
             runs = speed(arguments.data, arguments, folder)
+            walls = {name: float(np.median([each["wall_s"] for each in found])) for name, found in runs.items()}
             if "kill" in arguments.only:
                 line = command(arguments.data, arguments, folder / "killed", RUNS["2 workers"])
-                runs["2 workers, 1 killed"] = run(line, folder / "killed", runs["2 workers"]["wall_s"] / 2)
-                killed = runs["2 workers, 1 killed"]
-                print(
-                    f"{'2 workers, 1 killed':22} wall {killed['wall_s']:7.1f} s   (process {killed['killed']} killed)"
-                )
-            scores = {each.pop("scores") for each in runs.values()}
-            ratio = runs["1 worker"]["wall_s"] / runs["2 workers"]["wall_s"]
+                runs["2 workers, 1 killed"] = [run(line, folder / "killed", walls["2 workers"] / 2)]
+                told("2 workers, 1 killed", runs["2 workers, 1 killed"][0])
+            scores = {each.pop("scores") for found in runs.values() for each in found}
+            ratio = walls["1 worker"] / walls["2 workers"]
             print(f"2 workers are {ratio:.2f} times as fast as 1; scores byte for byte equal: {len(scores) == 1}")
             result |= {"runs": runs, "ratio": ratio, "equal": len(scores) == 1}
         if "estimate" in arguments.only:

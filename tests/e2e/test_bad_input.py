@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import lzma
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
@@ -444,6 +447,32 @@ main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --sa
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "kinecast: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("when", ["workers start", "workers work"])
+def test_ctrl_c_ends_a_cluster_without_a_trace(
+    when: str, tables: tuple[Path, Path], model: Path, tmp_path: Path
+) -> None:
+    script = f"""
+import signal
+from kinecast.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --samples 5000 --out out".split()
+     + ["--cluster", "local:2"])
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        assert process.stderr is not None
+        said = process.stderr.readline() if when == "workers work" else ""
+        while not (workers := psutil.Process(process.pid).children()):
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to this process and to its workers
+        said += process.communicate(timeout=120)[1]
+    assert process.returncode == 130
+    assert said.replace("kinecast: cluster local:2: 2 workers\n", "") == "kinecast: interrupted\n"
+    assert not psutil.wait_procs(workers, timeout=30)[1]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import heapq
 import logging
 import signal
@@ -101,11 +102,14 @@ def live(
             for sink in opened_sinks:
                 print(f"sink: {sink.address}")
             print("Ctrl-C ends it", flush=True)
+            gc.collect()
+            gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
             with shown(loop):
                 for source in opened_sources:
                     source.start()
                 loop.run(stop)
         finally:
+            gc.unfreeze()
             for source in opened_sources:
                 source.close()
             mailbox.discard()

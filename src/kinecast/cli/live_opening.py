@@ -18,6 +18,7 @@ from kinecast.perception.admission import Admission
 from kinecast.perception.mailbox import Feed, Mailbox
 from kinecast.perception.network import Address, Network, UdpSource, WebSocketSource
 from kinecast.perception.recorded import RecordedSource
+from kinecast.perception.settings import number, whole_number
 from kinecast.perception.view import Deliver
 from kinecast.perception.xsens import DEFAULT_PORT, XsensAdmission, XsensOptions
 from kinecast.types import SkeletonFrame
@@ -153,9 +154,10 @@ def _source(
     fused: FusedSource | None,
 ) -> Source:
     if isinstance(source.place, Path):
-        speed, repeat = (_number(source, name) for name in ("speed", "repeat"))
+        speed = number(source.settings, "speed", 1.0, source.text)
+        repeat = whole_number(source.settings, "repeat", 1, source.text)
         frames = _bag(source) if source.kind == "bag" else play(source.place)
-        return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, int(repeat))
+        return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, repeat)
     if isinstance(source.place, str) and source.kind not in _ROS:
         return _realsense(source, source.place, mailbox, fused)
     feed = mailbox.feed(source.text)
@@ -262,14 +264,3 @@ def _settings(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]
     if unknown or (query and not found):
         raise OptionError(f"{text}: {', '.join(unknown) or query} unknown; allowed are {', '.join(allowed) or 'none'}")
     return found
-
-
-def _number(source: Description, name: str) -> float:
-    value = source.settings.get(name, "1")
-    try:
-        number = float(value)
-        if name == "repeat" and number != int(number):
-            raise ValueError
-    except (ValueError, OverflowError):
-        raise OptionError(f"{source.text}: {name} {value!r} is no number") from None
-    return number

@@ -12,6 +12,7 @@ from kinecast.live.loop import Source
 from kinecast.live.sinks import MOST_WAITING, Sink
 from kinecast.perception.admission import Admission
 from kinecast.perception.mailbox import Feed
+from kinecast.perception.settings import number, whole_number
 from kinecast.ros.bags import BagWriter, read_frames
 from kinecast.ros.carrier import Carrier, RosSink, RosSource
 from kinecast.ros.dds import DdsCarrier
@@ -78,10 +79,8 @@ def outgoing(text: str, namespace: str, settings: Mapping[str, str]) -> Outgoing
     Raises:
         OptionError: a name that is none, or settings outside their ranges.
     """
-    parts = _number(text, settings, "parts", 3.0)
-    if not parts.is_integer():
-        raise OptionError(f"{text}: parts {settings['parts']!r} is no whole number")
-    scene = SceneOptions(int(parts), _number(text, settings, "thickness", 0.05))
+    parts = whole_number(settings, "parts", SceneOptions.parts, text)
+    scene = SceneOptions(parts, number(settings, "thickness", SceneOptions.thickness, text))
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS
     return Outgoing(OutputOptions(namespace or "/kinecast", outputs, settings.get("planning_scene", ""), scene))
 
@@ -153,12 +152,5 @@ def _input_options(text: str, settings: Mapping[str, str]) -> InputOptions:
         settings.get("joints", ""),
         settings.get("person", "0"),
         settings.get("frame", "").lstrip("/"),
-        _number(text, settings, "height", 1.65),
+        number(settings, "height", InputOptions.height, text),
     )
-
-
-def _number(text: str, settings: Mapping[str, str], name: str, default: float) -> float:
-    try:
-        return float(settings.get(name, default))
-    except ValueError:
-        raise OptionError(f"{text}: {name} {settings[name]!r} is no number") from None

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import logging
 import queue
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Protocol, runtime_checkable
 
+from kinecast.live.attempts import Attempts
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
 
@@ -17,8 +16,6 @@ __all__ = ["FileSink", "JsonlSink", "Sink"]
 
 MOST_WAITING = 100
 """Publications that wait for a disc; more are dropped and counted."""
-
-log = logging.getLogger(__name__)
 
 
 @runtime_checkable
@@ -28,12 +25,15 @@ class Sink(Protocol):
     Attributes:
         address: where they go, for messages.
         tally: what was sent and dropped.
-        failure: why it has stopped, or None.
     """
 
     address: str
     tally: Tally
-    failure: str | None
+
+    @property
+    def failure(self) -> str | None:
+        """Why it has stopped, or None."""
+        ...
 
     def publish(self, publication: Publication) -> None:
         """Takes one; neither waits nor raises."""
@@ -57,8 +57,7 @@ class FileSink:
     def __init__(self, path: Path) -> None:
         self.address = str(path)
         self.tally = Tally()
-        self.failure: str | None = None
-        self._complained = False
+        self._attempts = Attempts(self.address, "written", OSError)
         self._file: IO[bytes] = path.open("wb")
         self._waiting: queue.Queue[Publication | None] = queue.Queue(MOST_WAITING)
         self.begin(self._file)
@@ -75,6 +74,11 @@ class FileSink:
     def finish(self, file: IO[bytes]) -> None:
         """Writes what comes last."""
 
+    @property
+    def failure(self) -> str | None:
+        """See Sink."""
+        return self._attempts.failure
+
     def publish(self, publication: Publication) -> None:
         """See Sink."""
         try:
@@ -89,29 +93,15 @@ class FileSink:
 
     def _run(self) -> None:
         while (publication := self._waiting.get()) is not None:
-            if self.failure is None and self._try(self.write, publication):
+            if self._attempts.succeeds(self.write, self._file, publication):
                 self.tally.sent(time.monotonic() - publication.acquired)
             else:
                 self.tally.dropped += 1
-        if self.failure is None:
-            self._try(self.finish)
-        self._try(lambda file: file.close())
-
-    def _try(self, action: Callable[..., object], *arguments: object) -> bool:
-        """Whether it went well. After an error of the system nothing more is written; any other costs this one."""
+        self._attempts.succeeds(self.finish, self._file)
         try:
-            action(self._file, *arguments)
+            self._file.close()
         except OSError as error:
-            if self.failure is None:
-                self.failure = f"{self.address}: {error}"
-                log.error("%s: nothing more is written", self.failure)
-        except Exception:
-            if not self._complained:
-                self._complained = True
-                log.exception("%s: a prediction could not be written", self.address)
-        else:
-            return True
-        return False
+            self._attempts.fail(error)
 
 
 class JsonlSink(FileSink):

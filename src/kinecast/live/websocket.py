@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 
 from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.exceptions import ConnectionClosed
 
+from kinecast.live.attempts import Attempts
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
 from kinecast.perception.network import MOST_CLIENTS, TRY_LATER, Address, Network, closed, listen, opened, port_of
@@ -19,9 +19,6 @@ MOST_UNSENT = 256 * 1024
 """Bytes that may wait for one client; while there are more, it misses what is published."""
 LARGEST_REQUEST = 1024
 """Clients have nothing to say here; what they say is passed over."""
-
-
-log = logging.getLogger(__name__)
 
 
 class WebSocketSink:
@@ -38,8 +35,6 @@ class WebSocketSink:
 
     def __init__(self, address: Address, network: Network, msgpack: bool = False) -> None:
         self.tally = Tally()
-        self.failure: str | None = None
-        self._complained = False
         self._network = network
         self._msgpack = msgpack
         self._clients: set[ServerConnection] = set()
@@ -47,6 +42,12 @@ class WebSocketSink:
         self._lock = threading.Lock()
         self._server = opened(address, lambda: network.run(listen(address, self._attend, LARGEST_REQUEST)))
         self.address = str(Address(address.scheme, address.host, port_of(self._server)))
+        self._attempts = Attempts(self.address, "sent")
+
+    @property
+    def failure(self) -> str | None:
+        """See Sink."""
+        return self._attempts.failure
 
     @property
     def clients(self) -> int:
@@ -70,13 +71,8 @@ class WebSocketSink:
         with self._lock:
             newest, self._newest = self._newest, {}
         for publication in newest.values():
-            try:
-                self._broadcast(publication)
-            except Exception:
+            if not self._attempts.succeeds(self._broadcast, publication):
                 self.tally.dropped += 1
-                if not self._complained:
-                    self._complained = True
-                    log.exception("%s: a prediction could not be sent", self.address)
 
     def _broadcast(self, publication: Publication) -> None:
         if self._clients:

@@ -20,6 +20,7 @@ from kinecast.perception.people import PeopleTracker
 from kinecast.perception.person_detector import PersonDetector
 from kinecast.perception.pose_estimator import PoseEstimator
 from kinecast.perception.realsense_stream import Picture, RealSenseStream
+from kinecast.perception.settings import number, whole_number
 from kinecast.perception.view import Deliver, View
 
 __all__ = ["RealSenseOptions", "RealSenseSource"]
@@ -61,16 +62,6 @@ class RealSenseOptions:
         """
         if not settings.get("model"):
             raise OptionError(f"{text}: model=FILE is needed, a pose estimator in ONNX (docs/cameras.md)")
-
-        def number(name: str, low: float, high: float) -> float:
-            try:
-                value = float(settings.get(name, getattr(cls, name)))
-            except ValueError:
-                value = np.nan
-            if not low <= value <= high:
-                raise OptionError(f"{text}: {name} {settings[name]!r} is outside {low:g}..{high:g}")
-            return value
-
         width, _, height = settings.get("size", "848x480").partition("x")
         if not (width.isdecimal() and height.isdecimal() and 0 < int(width) <= 4096 and 0 < int(height) <= 4096):
             raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as 848x480")
@@ -79,9 +70,9 @@ class RealSenseOptions:
             Path(settings["model"]),
             Path(detector) if detector else None,
             (int(width), int(height)),
-            int(number("rate", 1.0, 300.0)),
-            number("tilt", -90.0, 90.0),
-            number("height", -10.0, 10.0),
+            whole_number(settings, "rate", cls.rate, text, 1.0, 300.0),
+            number(settings, "tilt", cls.tilt, text, -90.0, 90.0),
+            number(settings, "height", cls.height, text, -10.0, 10.0),
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import threading
 import time
@@ -10,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
+from kinecast.live.attempts import Attempts
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
 from kinecast.perception.admission import Admission
@@ -25,8 +25,6 @@ Taker = Callable[[str, bytes], None]
 """Takes a topic and the bytes of a message that came on it, in any thread."""
 LOOK = 0.5
 """Longest wait before looking whether to end [s]."""
-
-log = logging.getLogger(__name__)
 
 
 @runtime_checkable
@@ -124,18 +122,23 @@ class RosSink:
     def __init__(self, address: str, outgoing: Outgoing, carrier: Carrier, room: int) -> None:
         self.address = address
         self.tally = Tally()
-        self.failure: str | None = None
+        self._attempts = Attempts(address, "sent", OSError)
         self._outgoing = outgoing
         self._carrier = carrier
         self._room = room
         self._waiting: deque[Publication] = deque()
         self._changed = threading.Condition()
-        self._ending = self._complained = False
+        self._ending = False
         for topic, type_ in outgoing.topics.items():
             carrier.messages.prepare(type_)
             carrier.advertise(topic, type_)
         self._thread = threading.Thread(target=self._run, name=address, daemon=True)
         self._thread.start()
+
+    @property
+    def failure(self) -> str | None:
+        """See kinecast.live.sinks.Sink."""
+        return self._attempts.failure
 
     def publish(self, publication: Publication) -> None:
         """See kinecast.live.sinks.Sink."""
@@ -161,35 +164,21 @@ class RosSink:
                 publication = self._waiting.popleft() if self._waiting else None
                 ended = self._ending and publication is None
             if publication is not None:
-                if self._send(self._told(publication)):
+                if self._attempts.succeeds(self._send, self._told(publication)):
                     self.tally.sent(time.monotonic() - publication.acquired)
                 else:
                     self.tally.dropped += 1
-            self._send(self._outgoing.take_back(math.inf if ended else time.monotonic()))
+            self._attempts.succeeds(self._send, self._outgoing.take_back(math.inf if ended else time.monotonic()))
             if ended:
                 break
         try:
             self._carrier.close()
         except Exception as error:
-            self.failure = self.failure or f"{self.address}: {error}"
+            self._attempts.fail(error)
 
     def _told(self, publication: Publication) -> Iterator[Posting]:
         yield from self._outgoing.tell(publication, time.monotonic(), self._carrier.now())
 
-    def _send(self, postings: Iterator[Posting]) -> bool:
-        """Whether it went well. After an error of the system nothing more is sent; any other costs this one."""
-        if self.failure is not None:
-            return False
-        try:
-            for each in postings:
-                self._carrier.publish(each.topic, each.type_, self._carrier.messages.encode(each.type_, each.fields))
-        except OSError as error:
-            self.failure = f"{self.address}: {error}"
-            log.error("%s: nothing more is sent", self.failure)
-        except Exception:
-            if not self._complained:
-                self._complained = True
-                log.exception("%s: a prediction could not be sent", self.address)
-        else:
-            return True
-        return False
+    def _send(self, postings: Iterator[Posting]) -> None:
+        for each in postings:
+            self._carrier.publish(each.topic, each.type_, self._carrier.messages.encode(each.type_, each.fields))

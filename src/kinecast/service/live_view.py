@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import html
-import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
+from kinecast.live.attempts import Attempts
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
 from kinecast.service.colours import hex_of
@@ -38,8 +38,6 @@ FROM = np.array([1.9, -1.4, 0.9])
 """Where the first person is looked at from [m]."""
 GOOD, UNSURE, LOST = (24, 128, 64), (178, 112, 0), (190, 38, 38)
 
-log = logging.getLogger(__name__)
-
 
 class LiveView:
     """Draws the newest prediction of every person about 30 times a second: body, arms at every step, tubes, status.
@@ -55,18 +53,22 @@ class LiveView:
 
     def __init__(self, host: str, port: int, scene: Scene | None = None, name: str = "the view") -> None:
         self.tally = Tally()
-        self.failure: str | None = None
         self._server = open_server(host, port, name)
         self.address = url_of(self._server)
+        self._attempts = Attempts(self.address, "drawn")
         self._stage = _Stage(self._server, scene)
         self._waiting: dict[tuple[str, str], Publication] = {}
         self._shown: dict[tuple[str, str], tuple[Publication, float]] = {}
         self._lock = threading.Lock()
         self._arrived = threading.Event()
         self._closing = threading.Event()
-        self._complained = False
         self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
         self._thread.start()
+
+    @property
+    def failure(self) -> str | None:
+        """See kinecast.live.sinks.Sink."""
+        return self._attempts.failure
 
     def publish(self, publication: Publication) -> None:
         """See kinecast.live.sinks.Sink; one that a newer replaces before it is drawn counts as dropped."""
@@ -85,16 +87,17 @@ class LiveView:
         while not self._closing.wait(REST):
             self._arrived.clear()
             self._arrived.wait(PATIENCE)
-            try:
-                self._refresh(time.monotonic())
-            except Exception:
-                if not self._complained:
-                    self._complained = True
-                    log.exception("%s: a prediction could not be drawn", self.address)
+            with self._lock:
+                newest, self._waiting = self._waiting, {}
+            if self._attempts.succeeds(self._refresh, newest, time.monotonic()):
+                for publication in newest.values():
+                    self.tally.sent(time.monotonic() - publication.acquired)
+            else:
+                self.tally.dropped += len(newest)
+                for key in newest:  # else what cannot be drawn would keep others from being drawn
+                    self._shown.pop(key, None)
 
-    def _refresh(self, now: float) -> None:
-        with self._lock:
-            newest, self._waiting = self._waiting, {}
+    def _refresh(self, newest: Mapping[tuple[str, str], Publication], now: float) -> None:
         gone = [key for key, (_, since) in self._shown.items() if now - since > GONE]
         if not newest and not gone:
             return
@@ -106,8 +109,6 @@ class LiveView:
         with self._server.atomic():
             self._stage.show([publication for publication, _ in self._shown.values()])
         self._server.flush()
-        for publication in newest.values():
-            self.tally.sent(time.monotonic() - publication.acquired)
 
 
 class _Stage:

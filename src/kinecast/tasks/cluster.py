@@ -10,11 +10,13 @@ import logging
 import os
 import pickle
 import platform
+import signal
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -125,25 +127,38 @@ def cluster_at(where: str) -> Iterator[Cluster]:
         "distributed.admin.large-graph-warning-threshold": 2**40,  # recordings and windows travel with the tasks
         "distributed.scheduler.allowed-failures": DEATHS,
     }
-    with dask.config.set(settings):
+    with dask.config.set(settings), ExitStack() as opened:
         try:
-            if count is None:
-                client = Client(where, timeout=PATIENCE, set_as_default=False)
-            else:
-                local = LocalCluster(
-                    n_workers=count, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
-                    memory_limit=0, silence_logs=logging.CRITICAL,
-                )  # fmt: skip
-                client = Client(local, timeout=PATIENCE, set_as_default=False)
+            scheduler: Any = where
+            if count is not None:
+                with _deaf_to_interrupts():
+                    local = LocalCluster(
+                        n_workers=count, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
+                        memory_limit=0, silence_logs=logging.CRITICAL,
+                    )  # fmt: skip
+                    scheduler = opened.enter_context(closing(local))
+            client = opened.enter_context(closing(Client(scheduler, timeout=PATIENCE, set_as_default=False)))
         except (OSError, ValueError) as error:
             raise ClusterError(f"--cluster {where}: no scheduler ({error})") from None
-        try:
-            _check(client, where, count or 1)
-            yield Cluster(client)
-        finally:
-            client.close()
-            if count is not None:
-                local.close()
+        _check(client, where, count or 1)
+        yield Cluster(client)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Threads and processes begun meanwhile do not hear Ctrl-C, which a terminal sends to all: this process ends them.
+
+    One that comes meanwhile is heard at the end.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # pragma: no cover - Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # else the first process would start it, and let interrupts in again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def worker_count(where: str) -> int | None:

@@ -400,8 +400,9 @@ def test_a_camera_or_recording_that_is_not_there_is_named(tmp_path: Path) -> Non
         ({}, "model=FILE is needed"),
         ({"model": "m", "size": "big"}, "size 'big', expected a size such as 848x480"),
         ({"model": "m", "rate": "0"}, "rate '0' is outside 1..300"),
+        ({"model": "m", "rate": "29.7"}, "rate '29.7' is no whole number"),
         ({"model": "m", "tilt": "nan"}, "tilt 'nan' is outside -90..90"),
-        ({"model": "m", "height": "high"}, "height 'high' is outside -10..10"),
+        ({"model": "m", "height": "high"}, "height 'high' is no number"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings: dict[str, str], words: str) -> None:

@@ -65,12 +65,14 @@ def test_every_publication_is_drawn_or_counted(view: LiveView, predictor: Predic
     assert "<b>0</b> · camera" in view._stage._words.content
 
 
-def test_what_is_not_known_and_more_people_than_are_drawn_are_no_trouble(view: LiveView, predictor: Predictor) -> None:
+def test_what_is_not_known_and_more_people_than_are_drawn_are_no_trouble(
+    view: LiveView, predictor: Predictor, caplog: pytest.LogCaptureFixture
+) -> None:
     view.publish(publication(predictor, 1, np.full((6, 3), np.nan)))
     for number in range(3 * MOST_SHOWN):
         view.publish(publication(predictor, number + 2, person=f"<b>{number}</b>"))
     settled(view, 3 * MOST_SHOWN + 1)
-    assert not view._complained
+    assert "could not be drawn" not in caplog.text
     assert "<b><b>" not in view._stage._words.content
     assert "&lt;b&gt;" in view._stage._words.content
     assert len(view._shown) <= MOST_SHOWN
@@ -79,9 +81,23 @@ def test_what_is_not_known_and_more_people_than_are_drawn_are_no_trouble(view: L
 def test_who_is_seen_no_more_is_drawn_no_more(view: LiveView, predictor: Predictor) -> None:
     view.publish(publication(predictor, 1))
     settled(view, 1)
-    view._refresh(time.monotonic() + 10.0)
+    view._refresh({}, time.monotonic() + 10.0)
     assert view._shown == {}
     assert "Nobody" in view._stage._words.content
+
+
+def test_what_cannot_be_drawn_is_counted_and_the_next_is_drawn(
+    view: LiveView, predictor: Predictor, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with monkeypatch.context() as broken:
+        broken.setattr(view._stage, "_aim", None)
+        view.publish(publication(predictor, 1))
+        settled(view, 1)
+    assert (view.tally.published, view.tally.dropped, view.failure) == (0, 1, None)
+    assert caplog.text.count("could not be drawn") == 1
+    view.publish(publication(predictor, 2))
+    settled(view, 2)
+    assert (view.tally.published, view.tally.dropped) == (1, 1)
 
 
 def test_it_listens_on_this_machine_and_a_taken_port_is_named(view: LiveView) -> None:
