@@ -38,8 +38,11 @@ def yaw_frame(pose: Float[np.ndarray, "*b 6 3"]) -> Float[np.ndarray, "*b 3 3"]:
     line = (pose[..., 0, :] - pose[..., 3, :]) * [1.0, 1.0, 0.0]
     length = np.linalg.norm(line, axis=-1, keepdims=True)
     y = np.where(length > 1e-6, line / np.maximum(length, 1e-6), [0.0, 1.0, 0.0])
-    z = np.broadcast_to([0.0, 0.0, 1.0], y.shape)
-    return np.stack([np.cross(y, z), y, z], axis=-1)
+    frame = np.zeros((*y.shape, 3))
+    frame[..., 0, 0], frame[..., 1, 0] = y[..., 1], -y[..., 0]
+    frame[..., 1] = y
+    frame[..., 2, 2] = 1.0
+    return frame
 
 
 @dataclass(frozen=True)
