@@ -383,6 +383,8 @@ class TestConvert:
         assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
         assert kinecast("convert", tables[0], there, "--force").code == 0
         assert there.read_text() != "mine"
+        (folder := tmp_path / "a.rosbag2").mkdir()
+        assert "folders are never replaced" in kinecast("convert", tables[0], folder, "--force").err
 
 
 class TestOwnMethod:

@@ -33,7 +33,7 @@ def convert(
     Args:
         source: a recording, of one person or of several at the same time.
         target: the file to write, ending in .parquet, .csv, .mcap, .jsonl or .bag, or a folder ending in .rosbag2.
-        force: replace a file that is there.
+        force: replace a file that is there; never a folder.
         format: read the recording as this format instead of finding it by content.
     """
     if target.suffix == ".bvh":

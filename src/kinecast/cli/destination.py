@@ -26,7 +26,7 @@ def check_file(out: Path, endings: tuple[str, ...], option: str = "--out") -> No
     if out.suffix not in endings:
         raise OptionError(f"{option} {out}: its name must end in {' or '.join(endings)}")
     if out.is_dir():
-        raise OptionError(f"{option} {out}: is a folder")
+        raise OptionError(f"{option} {out}: is a folder, and folders are never replaced: remove it, or name another")
     folder = out.absolute().parent
     if not folder.is_dir():
         raise OptionError(f"{option} {out}: there is no folder {folder}")
