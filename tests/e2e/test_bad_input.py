@@ -467,6 +467,7 @@ main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --sa
         assert process.stderr is not None
         said = process.stderr.readline() if when == "workers work" else ""
         while not (workers := psutil.Process(process.pid).children()):
+            assert process.poll() is None
             time.sleep(0.02)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to this process and to its workers
         said += process.communicate(timeout=120)[1]

@@ -67,13 +67,19 @@ def test_the_oldest_waits_no_longer_where_there_is_no_room(publish: Any) -> None
     assert (sink.tally.published, sink.failure, wire.closed) == (4, None, True)
 
 
-def test_after_an_error_of_the_system_nothing_more_is_sent(publish: Any, caplog: pytest.LogCaptureFixture) -> None:
-    wire = Wire(OSError("the cable is out"))
+def after_five(wire: Wire, publish: Any) -> RosSink:
+    """A sink that has ended after five publications."""
     wire.free.set()
     sink = RosSink("wire", Outgoing(ONE), wire, room=100)
     for k in range(5):
         sink.publish(publish(REST, 0.0, str(k)))
     sink.close()
+    return sink
+
+
+def test_after_an_error_of_the_system_nothing_more_is_sent(publish: Any, caplog: pytest.LogCaptureFixture) -> None:
+    wire = Wire(OSError("the cable is out"))
+    sink = after_five(wire, publish)
     assert sink.failure == "wire: the cable is out"
     assert (sink.tally.published, sink.tally.dropped) == (0, 5)
     assert caplog.text.count("nothing more is sent") == 1
@@ -82,11 +88,7 @@ def test_after_an_error_of_the_system_nothing_more_is_sent(publish: Any, caplog:
 
 def test_any_other_error_costs_one_prediction(publish: Any, caplog: pytest.LogCaptureFixture) -> None:
     wire = Wire(ValueError("odd"))
-    wire.free.set()
-    sink = RosSink("wire", Outgoing(ONE), wire, room=100)
-    for k in range(5):
-        sink.publish(publish(REST, 0.0, str(k)))
-    sink.close()
+    sink = after_five(wire, publish)
     assert (sink.tally.published, sink.tally.dropped, sink.failure) == (0, 5, None)
     assert caplog.text.count("could not be sent") == 1
 
