@@ -22,10 +22,10 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from benchmarks.machine import facts, milliseconds, save
-from kinecast.perception.camera import Intrinsics, PinholeCamera
-from kinecast.perception.depth import DepthImage, StereoNoise
-from kinecast.perception.lifting import lifted, standing, view_of
-from kinecast.perception.pose_estimator import PoseEstimator
+from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.depth import DepthImage, StereoNoise
+from kinecast.cameras.lifting import lifted, standing, view_of
+from kinecast.cameras.pose_estimator import PoseEstimator
 
 SIZE = (848, 480)
 INPUT = (192, 256)

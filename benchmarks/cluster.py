@@ -35,7 +35,7 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
-from kinecast.prediction.horizon.expert_training import Examples
+from kinecast.prediction.kinecast.expert_training import Examples
 from kinecast.prediction.methods import TrainingOptions, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks.workers import Serial

@@ -5,7 +5,7 @@ python -m benchmarks.collaboration [--episodes N] [--first SEED] [--predictors A
 
 Even seeds: a generated person. Odd ones: a recorded one, played forth and back (the Vicon takes, on which the shipped
 models were trained; without them all are generated). Both stop short of an arm that is in their way, as people do. What
-is measured: kinecast.evaluation.outcome. A run that was cut short goes on where it stopped, if settings and code are
+is measured: kinecast.robot.outcome. A run that was cut short goes on where it stopped, if settings and code are
 the same; the first three predictors come first. Seeds 0 to 99 are for figures that are stated; settings were chosen on
 others.
 """
@@ -33,10 +33,10 @@ from benchmarks.collaboration_report import report, save_plot, summarise
 from benchmarks.machine import RESULTS, facts, save
 from kinecast.datasets.loading import load
 from kinecast.datasets.recording import Recording
-from kinecast.evaluation.collaboration import Forecasters, forth_and_back, generated_person, replayed_person
-from kinecast.evaluation.outcome import Outcome, outcome_of
 from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell
+from kinecast.robot.collaboration import Forecasters, forth_and_back, generated_person, replayed_person
+from kinecast.robot.outcome import Outcome, outcome_of
 from kinecast.robot.person import MindfulPerson
 from kinecast.robot.simulation import Simulation
 

@@ -12,9 +12,9 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from kinecast.evaluation.outcome import Outcome
 from kinecast.evaluation.palette import INK, method_style
 from kinecast.evaluation.plots import STYLE, save_figure
+from kinecast.robot.outcome import Outcome
 
 SHOWN = (
     "contacts", "contacts_moving", "least_distance", "violation", "time_to_done", "stops", "stopped", "replans",

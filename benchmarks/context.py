@@ -44,7 +44,7 @@ from kinecast.geometry.shapes import Box, Sphere
 from kinecast.pipeline import every_frame, followed, observations, training_windows, training_windows_by_action
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.goals import HANDS, WRISTS
-from kinecast.prediction.horizon.method import Horizon
+from kinecast.prediction.kinecast.method import Horizon
 from kinecast.prediction.methods import (
     TrainingOptions,
     card_of,

@@ -20,10 +20,10 @@ import numpy as np
 
 from benchmarks import machine
 from benchmarks.fusion_views import SLOW, Body, Faults, Image, disturbed, images, rig
+from kinecast.cameras.fusion.fusion import Fusion
+from kinecast.cameras.fusion.sighting import DEEP, FLESH
+from kinecast.cameras.rig import Rig
 from kinecast.datasets.loading import load
-from kinecast.perception.fusion.fusion import Fusion
-from kinecast.perception.fusion.sighting import DEEP, FLESH
-from kinecast.perception.rig import Rig
 from kinecast.types import SkeletonFrame
 
 TUNED_ON = ("CollaborativeStacking", "CollaborativeLifting")

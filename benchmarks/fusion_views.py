@@ -22,11 +22,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.rig import Rig
 from kinecast.geometry.transforms import from_rotation_vector, transform
-from kinecast.perception.camera import Intrinsics, PinholeCamera
-from kinecast.perception.clock import SourceClock
-from kinecast.perception.rig import Rig
-from kinecast.perception.view import View
+from kinecast.live.clock import SourceClock
+from kinecast.live.detection import View
 
 COCO_SIGMA = {"shoulder": 0.079, "elbow": 0.072, "wrist": 0.062, "hip": 0.107}
 OTHER_SIGMA = 0.079

@@ -37,7 +37,7 @@ from kinecast.prediction.forecast import Method
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PostureSeries
-from kinecast.prediction.track import Track
+from kinecast.track import Track
 
 TRAINED = ("constant_velocity", "kalman", "ridge", "kalman_constrained", "ridge_constrained")
 PERSONS = (1, 2, 3, 4)

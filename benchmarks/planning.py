@@ -22,13 +22,13 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.machine import facts, milliseconds, save
-from kinecast.evaluation.collaboration import Forecasters, generated_person
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box
 from kinecast.robot.attempt import Attempt
 from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell
 from kinecast.robot.chomp import optimise, smoothest
+from kinecast.robot.collaboration import Forecasters, generated_person
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.occupancy import Occupancy, OccupancyOptions, occupied
 from kinecast.robot.person import MindfulPerson

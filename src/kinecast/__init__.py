@@ -19,7 +19,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import KinecastError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule
-from kinecast.prediction.predictor import Predictor, PredictorOptions
+from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
 __all__ = [

@@ -14,7 +14,7 @@ from kinecast.datasets.windows import WindowOptions, Windows, all_windows
 from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation, TrainingWindows
-from kinecast.prediction.predictor import Predictor
+from kinecast.predictor import Predictor
 from kinecast.tasks.workers import Progress, Workers
 from kinecast.types import Prediction, SkeletonFrame
 

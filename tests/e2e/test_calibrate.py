@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
+from kinecast.cameras.calibration.board import Board
+from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.rig import Rig
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
-from kinecast.perception.calibration.board import Board
-from kinecast.perception.camera import Intrinsics, PinholeCamera
-from kinecast.perception.rig import Rig
 
 BOARD = Board(6, 4, 0.080)
 LENS = Intrinsics(960, 540, 700.0, 704.0, 471.0, 275.0, (0.06, -0.12, 0.0002, -0.0001, 0.0))

@@ -22,10 +22,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.rig import Rig
 from kinecast.datasets.loading import load
 from kinecast.geometry.transforms import transform
-from kinecast.perception.camera import Intrinsics, PinholeCamera
-from kinecast.perception.rig import Rig
 from kinecast.types import Status
 
 ROOT = Path(__file__).resolve().parents[2]

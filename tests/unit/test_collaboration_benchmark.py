@@ -15,7 +15,7 @@ if find_spec("benchmarks") is None:
 from benchmarks import collaboration
 from benchmarks.collaboration_report import summarise
 
-from kinecast.evaluation.outcome import Outcome
+from kinecast.robot.outcome import Outcome
 
 
 def run(monkeypatch: pytest.MonkeyPatch, folder: Path, episodes: int, limit: float = 0.4) -> dict[str, Any]:

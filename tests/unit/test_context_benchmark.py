@@ -14,7 +14,7 @@ if find_spec("benchmarks") is None:
 from benchmarks import context
 
 from kinecast.datasets.synthetic import Fetch, SyntheticOptions, fetching, table_scene
-from kinecast.prediction.horizon.method import Horizon
+from kinecast.prediction.kinecast.method import Horizon
 from kinecast.prediction.methods import shipped_methods
 
 SCENE = table_scene(SyntheticOptions())

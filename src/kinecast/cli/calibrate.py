@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
+from kinecast.cameras.camera import PinholeCamera
+from kinecast.cameras.rig import Rig
 from kinecast.cli.destination import check_file
 from kinecast.cli.progress import note
 from kinecast.errors import DatasetError, OptionError
 from kinecast.evaluation.output import write_atomically
-from kinecast.perception.camera import PinholeCamera
-from kinecast.perception.rig import Rig
 
 if TYPE_CHECKING:
-    from kinecast.perception.calibration.board import Board, Corners
-    from kinecast.perception.calibration.places import Places
+    from kinecast.cameras.calibration.board import Board, Corners
+    from kinecast.cameras.calibration.places import Places
 
 __all__ = ["calibrate"]
 
@@ -61,7 +61,7 @@ def calibrate(
         intrinsics: a rig file whose lenses are taken as they are; others are found from the pictures.
         board: writes a board to print, a PNG, and ends.
     """
-    from kinecast.perception.calibration.board import Board  # here, since OpenCV is an extra
+    from kinecast.cameras.calibration.board import Board  # here, since OpenCV is an extra
 
     match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", squares)
     if match is None:
@@ -108,7 +108,7 @@ def _solved(
     folders: Mapping[str, Path], board: Board, origin: str | None, height: float, known: Mapping[str, PinholeCamera]
 ) -> tuple[Rig, list[str]]:
     """The rig, and what to say about it."""
-    from kinecast.perception.calibration.places import lens_of, place_cameras
+    from kinecast.cameras.calibration.places import lens_of, place_cameras
 
     shots, lenses, counts, lens_errors = {}, {}, {}, {}
     for name, folder in folders.items():

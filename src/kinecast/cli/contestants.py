@@ -16,8 +16,8 @@ from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
 from kinecast.prediction.checkpoint import ModelCard
 from kinecast.prediction.forecast import Method
-from kinecast.prediction.horizon.ablation import ablations
-from kinecast.prediction.horizon.method import Horizon
+from kinecast.prediction.kinecast.ablation import ablations
+from kinecast.prediction.kinecast.method import Horizon
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
 from kinecast.prediction.outside import is_outside, trained_outside_on
 from kinecast.tasks.workers import Workers

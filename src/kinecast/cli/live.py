@@ -15,15 +15,15 @@ from typing import Annotated
 from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
 
+from kinecast.cameras.rig import Rig
 from kinecast.cli.destination import check_file
 from kinecast.cli.options import SceneFile, check_seed
 from kinecast.cli.progress import CONSOLE
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.perception.rig import Rig
 from kinecast.pipeline import frames
-from kinecast.prediction.predictor import Predictor, PredictorOptions
+from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame
 
 __all__ = ["live"]
@@ -66,13 +66,13 @@ def live(
         level: probability that each tube holds.
         seed: of the draws.
     """
+    from kinecast.cameras.fused import FusedSource
     from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
     from kinecast.cli.live_opening import open_sinks, open_sources, read_sink, read_source
     from kinecast.live.loop import Live, Source
+    from kinecast.live.mailbox import Mailbox
+    from kinecast.live.network import Network
     from kinecast.live.sinks import Sink
-    from kinecast.perception.fused import FusedSource
-    from kinecast.perception.mailbox import Mailbox
-    from kinecast.perception.network import Network
 
     check_seed(seed)
     if not 0 < level < 1:

@@ -13,8 +13,8 @@ from rich.text import Text
 
 from kinecast.cli.progress import CONSOLE
 from kinecast.live.loop import Live
+from kinecast.live.mailbox import Feed
 from kinecast.live.sinks import Sink
-from kinecast.perception.mailbox import Feed
 from kinecast.types import Status
 
 __all__ = ["shown", "summary"]

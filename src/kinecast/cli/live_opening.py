@@ -10,21 +10,21 @@ from urllib.parse import parse_qsl
 
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
+from kinecast.live.admission import Admission
+from kinecast.live.detection import Deliver
 from kinecast.live.loop import Source
+from kinecast.live.mailbox import Feed, Mailbox
 from kinecast.live.mcap import McapSink
+from kinecast.live.network import Address, Network, UdpSource, WebSocketSource
+from kinecast.live.recorded import RecordedSource
+from kinecast.live.settings import number, whole_number
 from kinecast.live.sinks import FileSink, JsonlSink, Sink
 from kinecast.live.websocket import WebSocketSink
-from kinecast.perception.admission import Admission
-from kinecast.perception.mailbox import Feed, Mailbox
-from kinecast.perception.network import Address, Network, UdpSource, WebSocketSource
-from kinecast.perception.recorded import RecordedSource
-from kinecast.perception.settings import number, whole_number
-from kinecast.perception.view import Deliver
-from kinecast.perception.xsens import DEFAULT_PORT, XsensAdmission, XsensOptions
+from kinecast.live.xsens import DEFAULT_PORT, XsensAdmission, XsensOptions
 from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
-    from kinecast.perception.fused import FusedSource
+    from kinecast.cameras.fused import FusedSource
 
 __all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_source"]
 
@@ -184,7 +184,7 @@ def _bag(source: Description) -> list[SkeletonFrame]:
 
 
 def _realsense(source: Description, place: str, mailbox: Mailbox, fused: FusedSource | None) -> Source:
-    from kinecast.perception.realsense import RealSenseOptions, RealSenseSource  # here, since cameras are an extra
+    from kinecast.cameras.realsense import RealSenseOptions, RealSenseSource  # here, since cameras are an extra
 
     options = RealSenseOptions.parse(source.settings, source.text)
     name = f"realsense:{place}"
@@ -223,7 +223,7 @@ def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink
     """
     for each in sinks:
         if isinstance(each.place, Address) and each.kind == "view":
-            from kinecast.service.live_view import LiveView  # here, since the view is an extra
+            from kinecast.view.live_view import LiveView  # here, since the view is an extra
 
             opened.append(LiveView(each.place.host, each.place.port, scene, f"--sink {each.text}"))
         elif isinstance(each.place, Address):

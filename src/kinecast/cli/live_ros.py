@@ -8,11 +8,11 @@ from pathlib import Path
 
 from kinecast.cli.progress import note
 from kinecast.errors import OptionError
+from kinecast.live.admission import Admission
 from kinecast.live.loop import Source
+from kinecast.live.mailbox import Feed
+from kinecast.live.settings import number, whole_number
 from kinecast.live.sinks import MOST_WAITING, Sink
-from kinecast.perception.admission import Admission
-from kinecast.perception.mailbox import Feed
-from kinecast.perception.settings import number, whole_number
 from kinecast.ros.bags import BagWriter, read_frames
 from kinecast.ros.carrier import Carrier, RosSink, RosSource
 from kinecast.ros.dds import DdsCarrier

@@ -17,7 +17,7 @@ from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.datasets.table_file import Rows, Words, write_rows
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import stream
-from kinecast.prediction.predictor import Predictor, PredictorOptions
+from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import Prediction, Status
 
 __all__ = ["predict"]

@@ -17,8 +17,8 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
-    from kinecast.evaluation.outcome import Outcome
     from kinecast.robot.episode import Episode
+    from kinecast.robot.outcome import Outcome
     from kinecast.robot.person import PlayedPerson
     from kinecast.types import Decision
 
@@ -72,7 +72,7 @@ def simulate(
         port: of the view; 0 is any that is free.
         out: folder for episode.json, storyboard.png, and a GIF and a timeline of each scenario.
     """
-    from kinecast.evaluation.collaboration import SCENARIOS  # here, since robot and drawing are extras
+    from kinecast.robot.collaboration import SCENARIOS  # here, since robot and drawing are extras
 
     check_seed(seed)
     check_scenario(scenario)
@@ -114,8 +114,8 @@ class Cast:
         Raises:
             DatasetError: the recording cannot be read.
         """
-        from kinecast.evaluation.collaboration import replayed_person
         from kinecast.robot.cell import Cell
+        from kinecast.robot.collaboration import replayed_person
 
         if self.person == SYNTHETIC:
             return None
@@ -136,7 +136,7 @@ class Cast:
 
 def check_scenario(name: str) -> None:
     """Raises OptionError for a scenario that there is not."""
-    from kinecast.evaluation.collaboration import SCENARIOS
+    from kinecast.robot.collaboration import SCENARIOS
 
     if name not in (*SCENARIOS, "all"):
         raise OptionError(f"--scenario {name}: allowed are {', '.join(SCENARIOS)}, all")
@@ -144,8 +144,8 @@ def check_scenario(name: str) -> None:
 
 def play(names: tuple[str, ...], predictor: str, cast: Cast) -> dict[str, tuple[Episode, Outcome]]:
     """Runs scenarios, and prints the decisions as they fall."""
-    from kinecast.evaluation.collaboration import SCENARIOS, Forecasters, simulate_scenario
-    from kinecast.evaluation.outcome import outcome_of
+    from kinecast.robot.collaboration import SCENARIOS, Forecasters, simulate_scenario
+    from kinecast.robot.outcome import outcome_of
 
     player, forecasters, episodes = cast.player(), Forecasters(cast.samples), {}
     for name in names:
@@ -167,11 +167,11 @@ def sentence(decision: Decision) -> str:
 
 def write(out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: Mapping[str, object]) -> None:
     """Writes the decisions and the pictures."""
-    from kinecast.evaluation.collaboration import SCENARIOS
-    from kinecast.evaluation.episode_file import write_episode
-    from kinecast.evaluation.storyboard import Row, animate_episode, draw_storyboard
-    from kinecast.evaluation.timeline import draw_timeline
     from kinecast.robot.cell import Cell
+    from kinecast.robot.collaboration import SCENARIOS
+    from kinecast.robot.episode_file import write_episode
+    from kinecast.robot.storyboard import Row, animate_episode, draw_storyboard
+    from kinecast.robot.timeline import draw_timeline
     from kinecast.robot.ur5 import UR5
 
     arm, cell = UR5(), Cell()

@@ -6,16 +6,16 @@ from pathlib import Path
 
 from kinecast.cli.simulate import Cast, closing_table, sentence, write
 from kinecast.errors import OptionError
-from kinecast.evaluation.collaboration import PREDICTORS, SCENARIOS, Forecasters, simulate_scenario
-from kinecast.evaluation.outcome import outcome_of
 from kinecast.robot.cell import Cell
+from kinecast.robot.collaboration import PREDICTORS, SCENARIOS, Forecasters, simulate_scenario
 from kinecast.robot.occupancy import OccupancyOptions
+from kinecast.robot.outcome import outcome_of
 from kinecast.robot.simulation import Simulation
 from kinecast.robot.supervisor import SupervisorOptions
-from kinecast.service.runs import Setting
-from kinecast.service.server import check_address
-from kinecast.service.viewer import Viewer
 from kinecast.types import Decision
+from kinecast.view.runs import Setting
+from kinecast.view.server import check_address
+from kinecast.view.viewer import Viewer
 
 __all__ = ["serve"]
 

@@ -9,10 +9,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
+from kinecast.live.mailbox import Arrival, Feed, Mailbox
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import Sink
-from kinecast.perception.mailbox import Arrival, Feed, Mailbox
-from kinecast.prediction.predictor import Predictor
+from kinecast.predictor import Predictor
 from kinecast.types import Prediction, Status
 
 __all__ = ["Live", "Source"]

@@ -19,7 +19,7 @@ from kinecast.datasets.compressed import MOST_POINTS, base_name, chunks
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.table import Description
 from kinecast.errors import DatasetError
-from kinecast.perception.message import LATEST_STAMP, LONGEST_NAME, MessageError, decode
+from kinecast.live.message import LATEST_STAMP, LONGEST_NAME, MessageError, decode
 from kinecast.types import SkeletonFrame
 
 __all__ = ["labelled_frames", "load", "message", "recordings_of", "write"]

@@ -9,9 +9,9 @@ from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.exceptions import ConnectionClosed
 
 from kinecast.live.attempts import Attempts
+from kinecast.live.network import MOST_CLIENTS, TRY_LATER, Address, Network, closed, listen, opened, port_of
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
-from kinecast.perception.network import MOST_CLIENTS, TRY_LATER, Address, Network, closed, listen, opened, port_of
 
 __all__ = ["WebSocketSink"]
 

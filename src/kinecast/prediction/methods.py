@@ -25,8 +25,8 @@ from kinecast.prediction.baselines import (
 from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian, position_examples, posture_examples
-from kinecast.prediction.horizon.method import Horizon, horizon_from_arrays
-from kinecast.prediction.horizon.training import HorizonOptions, fit_actions, fitting_horizon
+from kinecast.prediction.kinecast.method import Horizon, horizon_from_arrays
+from kinecast.prediction.kinecast.training import HorizonOptions, fit_actions, fitting_horizon
 from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows

@@ -22,7 +22,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 
 from kinecast.errors import DatasetError, OptionError
-from kinecast.perception.message import MessageError
+from kinecast.live.message import MessageError
 from kinecast.ros.carrier import Taker
 from kinecast.ros.incoming import INPUTS, TF_TYPE, Incoming, InputOptions
 from kinecast.ros.messages import Distribution, Messages, messages_of

@@ -9,12 +9,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
+from kinecast.live.admission import Admission
 from kinecast.live.attempts import Attempts
+from kinecast.live.mailbox import Feed
+from kinecast.live.message import MessageError
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
-from kinecast.perception.admission import Admission
-from kinecast.perception.mailbox import Feed
-from kinecast.perception.message import MessageError
 from kinecast.ros.incoming import Incoming
 from kinecast.ros.messages import Messages
 from kinecast.ros.outgoing import Outgoing, Posting

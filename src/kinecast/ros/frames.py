@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from kinecast.geometry.transforms import from_quaternion, inverse
 from kinecast.geometry.transforms import transform as rigid
-from kinecast.perception.message import FARTHEST, LONGEST_NAME, MessageError
+from kinecast.live.message import FARTHEST, LONGEST_NAME, MessageError
 
 __all__ = ["STALE", "FrameTree", "Lookup", "point", "seconds"]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply
-from kinecast.perception.message import MessageError, SkeletonMessage, skeleton_frame
+from kinecast.live.message import MessageError, SkeletonMessage, skeleton_frame
 from kinecast.ros.frames import STALE, FrameTree
 from kinecast.ros.messages import Messages
 from kinecast.ros.ros4hri import BodyFrames, from_joint_state

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 from rosbags.typesys.store import Typestore
 
-from kinecast.perception.message import MessageError
+from kinecast.live.message import MessageError
 
 __all__ = ["LARGEST", "Distribution", "Messages", "messages_of"]
 

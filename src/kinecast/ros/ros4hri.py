@@ -16,7 +16,7 @@ from jaxtyping import Float
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.transforms import apply, rotation_x, rotation_y, rotation_z
 from kinecast.geometry.transforms import transform as rigid
-from kinecast.perception.message import MessageError, SkeletonMessage
+from kinecast.live.message import MessageError, SkeletonMessage
 from kinecast.ros.frames import STALE, FrameTree, seconds
 from kinecast.ros.skeletons import MOST_PERSONS, UNSEEN, Position
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from kinecast.body.skeleton import ARM_JOINTS, JOINTS, SKELETONS
 from kinecast.errors import OptionError
-from kinecast.perception.message import MOST_JOINTS, MessageError, SkeletonMessage
+from kinecast.live.message import MOST_JOINTS, MessageError, SkeletonMessage
 from kinecast.ros.frames import point, seconds
 
 __all__ = ["MOST_PERSONS", "JointOrder", "from_markers", "from_poses", "from_zed"]

@@ -11,10 +11,10 @@ from rich.console import Console
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.cli import live_display
 from kinecast.live.loop import Live
+from kinecast.live.mailbox import Mailbox
 from kinecast.live.publication import Publication
 from kinecast.live.tally import Tally
-from kinecast.perception.mailbox import Mailbox
-from kinecast.prediction.predictor import Predictor
+from kinecast.predictor import Predictor
 from kinecast.types import SkeletonFrame
 
 

@@ -18,16 +18,16 @@ from websockets.sync.client import connect
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
+from kinecast.live.admission import Admission
 from kinecast.live.foxglove import SCENE_UPDATE, scene_update
 from kinecast.live.loop import Live
+from kinecast.live.mailbox import Mailbox
+from kinecast.live.network import Address, Network
 from kinecast.live.publication import SCHEMA, Publication
 from kinecast.live.sinks import MOST_WAITING, FileSink, JsonlSink
 from kinecast.live.tally import Tally
 from kinecast.live.websocket import MOST_UNSENT, WebSocketSink
-from kinecast.perception.admission import Admission
-from kinecast.perception.mailbox import Mailbox
-from kinecast.perception.network import Address, Network
-from kinecast.prediction.predictor import Predictor, PredictorOptions
+from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame, Status
 
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])

@@ -16,9 +16,9 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ModelError, OptionError
 from kinecast.pipeline import training_windows_by_action
 from kinecast.prediction.checkpoint import ModelCard, write_checkpoint
-from kinecast.prediction.horizon.actions import Actions
-from kinecast.prediction.horizon.method import Horizon
-from kinecast.prediction.horizon.training import HorizonOptions, fit_actions
+from kinecast.prediction.kinecast.actions import Actions
+from kinecast.prediction.kinecast.method import Horizon
+from kinecast.prediction.kinecast.training import HorizonOptions, fit_actions
 from kinecast.prediction.methods import TrainingOptions, read_method, save_method, shipped_methods, train, with_actions
 from kinecast.prediction.observation import Observation, TrainingWindows
 

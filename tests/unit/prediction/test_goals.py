@@ -19,9 +19,9 @@ from kinecast.pipeline import frames
 from kinecast.prediction import density as density_module
 from kinecast.prediction.forecast import Forecast, WorldDensity
 from kinecast.prediction.goals import HANDS, goal_probabilities
-from kinecast.prediction.horizon.density import GoalMixtureDensity
-from kinecast.prediction.horizon.method import Horizon
-from kinecast.prediction.horizon.spread import SCALES
+from kinecast.prediction.kinecast.density import GoalMixtureDensity
+from kinecast.prediction.kinecast.method import Horizon
+from kinecast.prediction.kinecast.spread import SCALES
 from kinecast.prediction.methods import shipped_methods
 from kinecast.prediction.observation import Observation
 from kinecast.types import Prediction

@@ -16,7 +16,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
 from kinecast.prediction.forecast import Forecast, Method
 from kinecast.prediction.observation import Observation
-from kinecast.prediction.predictor import HAND_SPEED, Predictor, PredictorOptions
+from kinecast.predictor import HAND_SPEED, Predictor, PredictorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
 
 DT = 1.0 / 30.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.prediction.track import LONGEST_GAP, MOST_FRAMES, Track
+from kinecast.track import LONGEST_GAP, MOST_FRAMES, Track
 from kinecast.types import SkeletonFrame, Status
 
 DT = 1.0 / 30.0

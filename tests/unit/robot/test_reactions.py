@@ -8,10 +8,10 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from kinecast.evaluation.collaboration import Forecasters, generated_person, simulate_scenario
-from kinecast.evaluation.outcome import outcome_of
 from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell
+from kinecast.robot.collaboration import Forecasters, generated_person, simulate_scenario
+from kinecast.robot.outcome import outcome_of
 from kinecast.robot.person import MindfulPerson, PlayedPerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState

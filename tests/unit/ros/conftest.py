@@ -13,7 +13,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.live.publication import Publication
-from kinecast.prediction.predictor import Predictor, PredictorOptions
+from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.ros.messages import Messages
 from kinecast.types import SkeletonFrame
 

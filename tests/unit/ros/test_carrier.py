@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.perception.admission import Admission
-from kinecast.perception.mailbox import Mailbox
+from kinecast.live.admission import Admission
+from kinecast.live.mailbox import Mailbox
 from kinecast.ros.carrier import RosSink, RosSource, Taker
 from kinecast.ros.incoming import Incoming, InputOptions
 from kinecast.ros.messages import Distribution, messages_of

@@ -10,7 +10,7 @@ import pytest
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import rotation_z, to_quaternion
-from kinecast.perception.message import MessageError
+from kinecast.live.message import MessageError
 from kinecast.ros.incoming import Incoming, InputOptions, input_type
 from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.ros4hri import body_joints

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rosbags.typesys.msg import normalize_msgtype
 
-from kinecast.perception.message import MessageError
+from kinecast.live.message import MessageError
 from kinecast.ros.dds import idl_type
 from kinecast.ros.incoming import INPUTS
 from kinecast.ros.messages import LARGEST, Distribution, Messages, messages_of

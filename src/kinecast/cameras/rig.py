@@ -1,0 +1,116 @@
+"""A rig: the cameras around a cell, each at its place, and the YAML file that holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.errors import DatasetError, OptionError
+from kinecast.geometry.entries import Entry, built, parse_yaml, read_text
+from kinecast.geometry.transforms import from_quaternion, to_quaternion, transform
+
+__all__ = ["Rig"]
+
+MOST_CAMERAS = 16
+LARGEST_IMAGE = 20e3
+"""Pixels a side."""
+LARGEST_FOCAL = 1e6
+LARGEST_COEFFICIENT = 1e3
+LONGEST_NAME = 64
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras by name.
+
+    Attributes:
+        cameras: each at its place in the world.
+        frame_id: name of the world's coordinate frame, z up.
+    """
+
+    cameras: Mapping[str, PinholeCamera]
+    frame_id: str = "world"
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.cameras) <= MOST_CAMERAS:
+            raise OptionError(f"{len(self.cameras)} cameras: 1 to {MOST_CAMERAS} make a rig")
+        wrong = next((name for name, camera in self.cameras.items() if name != camera.name), None)
+        if wrong is not None:
+            raise OptionError(f"camera {self.cameras[wrong].name!r} is entered as {wrong!r}")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Rig:
+        """Reads a rig file; the format is in docs/cameras.md.
+
+        Raises:
+            DatasetError: names the file, the entry, what was found and what is allowed.
+        """
+        return cls.from_yaml(read_text(Path(path)), path)
+
+    @classmethod
+    def from_yaml(cls, text: str, where: object = "rig") -> Rig:
+        """The rig a YAML text describes.
+
+        Args:
+            text: the content of a rig file.
+            where: named in errors, e.g. the file.
+
+        Raises:
+            DatasetError: names the entry, what was found and what is allowed.
+        """
+        root = Entry(where, "", parse_yaml(text, where), ("frame_id", "cameras"))
+        frame_id = root.values.get("frame_id", "world")
+        if not isinstance(frame_id, str) or not _is_name(frame_id):
+            raise root.error(f"expected a name of 1 to {LONGEST_NAME} characters, found {frame_id!r}", "frame_id")
+        entries = root.named_children("cameras")
+        for name, entry in entries.items():
+            if not _is_name(name):
+                raise entry.error(f"a camera's name has 1 to {LONGEST_NAME} printable characters")
+        cameras = {name: built(entry, partial(_camera, name)) for name, entry in entries.items()}
+        try:
+            return cls(cameras, frame_id)
+        except OptionError as error:
+            raise DatasetError(where, str(error)) from None
+
+    def to_yaml(self) -> str:
+        """The text of a rig file; reading it gives the same rig."""
+        cameras = {name: _written(camera) for name, camera in self.cameras.items()}
+        return yaml.safe_dump({"frame_id": self.frame_id, "cameras": cameras}, sort_keys=False, default_flow_style=None)
+
+
+def _is_name(text: str) -> bool:
+    return 0 < len(text) <= LONGEST_NAME and text.isprintable()
+
+
+def _camera(name: str, entry: Entry) -> PinholeCamera:
+    entry.only("size", "focal", "center", "distortion", "position", "quaternion")
+    width, height = entry.vector("size", 2, "px", LARGEST_IMAGE)
+    if width != int(width) or height != int(height):
+        raise entry.error("an image has a whole number of pixels", "size")
+    found = entry.values.get("distortion", [])
+    if not isinstance(found, list):
+        raise entry.error("expected a list of numbers", "distortion")
+    distortion = entry.vector("distortion", len(found), "", LARGEST_COEFFICIENT) if found else ()
+    fx, fy = map(float, entry.vector("focal", 2, "px", LARGEST_FOCAL))
+    cx, cy = map(float, entry.vector("center", 2, "px", LARGEST_FOCAL))
+    intrinsics = Intrinsics(int(width), int(height), fx, fy, cx, cy, tuple(map(float, distortion)))
+    rotation = from_quaternion(entry.vector("quaternion", 4, "w, x, y, z"))
+    return PinholeCamera(name, intrinsics, transform(rotation, entry.vector("position", 3, "m")))
+
+
+def _written(camera: PinholeCamera) -> dict[str, object]:
+    i, T = camera.intrinsics, camera.T_world_camera
+    return {
+        "size": [i.width, i.height],
+        "focal": [i.fx, i.fy],
+        "center": [i.cx, i.cy],
+        **({"distortion": list(i.distortion)} if i.distortion else {}),
+        "position": np.round(T[:3, 3], 6).tolist(),
+        "quaternion": np.round(to_quaternion(T[:3, :3]), 9).tolist(),
+    }

@@ -1,0 +1,129 @@
+"""What a network source lets in: whole messages, few persons, and one sender for each person."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable
+from typing import Protocol
+
+from kinecast.live.clock import SourceClock
+from kinecast.live.detection import View
+from kinecast.live.mailbox import Feed
+from kinecast.live.message import MessageError, decode
+from kinecast.types import SkeletonFrame
+
+__all__ = ["MOST_PERSONS", "MOST_SENDERS", "Admission"]
+
+MOST_PERSONS = 16
+"""Persons of one source, or of one camera of it, at once."""
+MOST_SENDERS = 16
+"""Senders of one source at once."""
+FORGET = 2.0
+"""After so much silence [s] a person's name, or a sender's place, is free for another."""
+
+
+class CameraFusion(Protocol):
+    """Where what several cameras see goes (kinecast.cameras.fused)."""
+
+    @property
+    def cameras(self) -> Collection[str]:
+        """Names of the rig's cameras."""
+        ...
+
+    def put(self, camera: str, feed: Feed, person: View | SkeletonFrame, acquired: float) -> None:
+        """Takes one person as one camera saw them; `acquired` [s] is on `time.monotonic`."""
+        ...
+
+
+class Admission:
+    """Takes the messages of every sender to one source; whatever comes, nothing is raised.
+
+    Args:
+        feed: where good frames go and bad messages are counted.
+        fused: where frames of a rig's cameras go instead; None without a rig.
+        camera: of which all are; empty where messages say it themselves.
+    """
+
+    def __init__(self, feed: Feed, fused: CameraFusion | None = None, camera: str = "") -> None:
+        self._feed = feed
+        self._fused = fused
+        self._camera = camera
+        self._senders: dict[Hashable, tuple[SourceClock, float]] = {}
+        self._persons: dict[tuple[str, str], tuple[Hashable, float]] = {}
+
+    @property
+    def senders(self) -> int:
+        """How many are known now."""
+        return len(self._senders)
+
+    def take(self, content: bytes | str, sender: Hashable, arrived: float) -> None:
+        """One message.
+
+        Args:
+            content: see kinecast.live.message.
+            sender: who sent it: a connection or an address.
+            arrived: when [s], on `time.monotonic`.
+        """
+        try:
+            self.admit(decode(content), sender, arrived)
+        except MessageError as problem:
+            self._feed.refuse(str(problem))
+
+    def admit(self, frame: SkeletonFrame | View, sender: Hashable, arrived: float) -> None:
+        """A frame that was read already; see `take`.
+
+        Raises:
+            MessageError: too many send, its person is another sender's, or its camera is none of the rig's.
+        """
+        camera = self._camera_of(frame)
+        clock = self._clock(sender, arrived)
+        self._claim(camera, frame.person, sender, arrived)
+        jumps = clock.jumps
+        acquired = clock.acquired(frame.stamp, arrived)
+        self._feed.clock_jumps += clock.jumps - jumps
+        self._feed.difference = clock.difference
+        if self._fused is not None and camera:
+            self._fused.put(camera, self._feed, frame, acquired)
+        elif isinstance(frame, SkeletonFrame):
+            self._feed.put(frame, acquired)
+
+    def leave(self, sender: Hashable) -> None:
+        """A sender has gone: its persons' names are free."""
+        self._senders.pop(sender, None)
+        self._persons = {person: owner for person, owner in self._persons.items() if owner[0] != sender}
+
+    def _clock(self, sender: Hashable, arrived: float) -> SourceClock:
+        """The sender's clock; one that is new takes the place of one that is silent."""
+        if sender not in self._senders:
+            self._senders = {known: kept for known, kept in self._senders.items() if arrived - kept[1] < FORGET}
+            if len(self._senders) >= MOST_SENDERS:
+                raise MessageError(f"more than {MOST_SENDERS} senders")
+        clock = self._senders[sender][0] if sender in self._senders else SourceClock()
+        self._senders[sender] = clock, arrived
+        return clock
+
+    def _camera_of(self, frame: SkeletonFrame | View) -> str:
+        """The rig's camera whose frame it is; empty for a skeleton in the world."""
+        if self._fused is None:
+            if isinstance(frame, View):
+                raise MessageError("pixels need --rig, a file of cameras")
+            return ""
+        cameras = self._fused.cameras
+        name = frame.camera if isinstance(frame, View) else frame.frame_id
+        named = name if isinstance(frame, View) or name in cameras else ""
+        if named and self._camera and named != self._camera:
+            raise MessageError(f"camera {named!r}, but this source is of camera {self._camera!r}")
+        camera = named or self._camera
+        if isinstance(frame, View) and camera not in cameras:
+            raise MessageError(f"camera {camera!r} is not in the rig, which has {', '.join(cameras)}")
+        return camera
+
+    def _claim(self, camera: str, person: str, sender: Hashable, arrived: float) -> None:
+        """A person of a camera belongs to the first who sends it, until that sender is silent about it."""
+        owner, last = self._persons.get((camera, person), (sender, arrived))
+        if owner != sender and arrived - last < FORGET:
+            raise MessageError(f"person {person!r} is sent by another sender too")
+        if (camera, person) not in self._persons:
+            self._persons = {name: kept for name, kept in self._persons.items() if arrived - kept[1] < FORGET}
+            if sum(name[0] == camera for name in self._persons) >= MOST_PERSONS:
+                raise MessageError(f"more than {MOST_PERSONS} persons")
+        self._persons[camera, person] = sender, arrived

@@ -1,0 +1,204 @@
+"""One person as they come over a network, JSON or msgpack: the schema in docs/live.md, and what is refused."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.skeleton import JOINTS, SKELETONS, Skeleton, require_arms
+from kinecast.errors import DatasetError, MissingExtraError
+from kinecast.live.detection import View
+from kinecast.types import SkeletonFrame
+
+try:
+    import msgspec
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("live streams", "live") from error
+
+__all__ = [
+    "FARTHEST",
+    "LARGEST_MESSAGE",
+    "LATEST_STAMP",
+    "LONGEST_NAME",
+    "MOST_JOINTS",
+    "MessageError",
+    "SkeletonMessage",
+    "decode",
+    "skeleton_frame",
+]
+
+LARGEST_MESSAGE = 65_536
+"""Bytes of one message; 33 joints as JSON take about 3000."""
+MOST_JOINTS = 128
+LONGEST_NAME = 64
+"""Characters of a joint's, person's or coordinate frame's name."""
+LONGEST_WORDS = 200
+"""Characters of what a message is quoted with in the log."""
+LATEST_STAMP = 1e11
+"""Largest believable stamp [s]: Unix time in seconds is 1.8e9, in milliseconds 1.8e12, in nanoseconds 1.8e18."""
+FARTHEST = 10_000.0
+"""Largest believable coordinate [m], as in recordings."""
+
+
+class MessageError(ValueError):
+    """A message that is nobody; the text says what was found and what is allowed."""
+
+
+class SkeletonMessage(msgspec.Struct, gc=False):
+    """The fields of a message; unknown ones are passed over."""
+
+    stamp: float
+    positions: list[list[float | None]] | None = None
+    pixels: list[list[float | None] | None] | None = None
+    joints: list[str] | None = None
+    skeleton: str | None = None
+    person: str | int = "0"
+    frame_id: str = "world"
+    std: list[float | None] | None = None
+    camera: str = ""
+    pixel_std: list[float | None] | None = None
+    depth: list[float | None] | None = None
+    depth_std: list[float | None] | None = None
+    confidence: list[float | None] | None = None
+
+
+_JSON = msgspec.json.Decoder(SkeletonMessage)
+_MSGPACK = msgspec.msgpack.Decoder(SkeletonMessage)
+_SKELETONS = {skeleton.name: skeleton for skeleton in SKELETONS}
+_CANONICAL = Skeleton("kinecast", JOINTS, {joint: joint for joint in JOINTS})
+
+
+def decode(content: bytes | str) -> SkeletonFrame | View:
+    """A person from a message: a skeleton, or where one camera sees their joints.
+
+    Args:
+        content: JSON where the first character is `{`, else msgpack. At most `LARGEST_MESSAGE` bytes.
+
+    Returns:
+        The frame, or the view where there are pixels; joints that kinecast has no name for are left out, one with a
+        coordinate that is null or not finite is not seen (NaN).
+
+    Raises:
+        MessageError: anything else is wrong with it, and nothing else is ever raised.
+    """
+    raw = content.encode("utf-8", "replace") if isinstance(content, str) else content
+    if len(raw) > LARGEST_MESSAGE:
+        raise MessageError(f"{len(raw)} bytes, at most {LARGEST_MESSAGE} are taken")
+    try:
+        message = (_JSON if raw[:64].lstrip()[:1] == b"{" else _MSGPACK).decode(raw)
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
+        raise MessageError(_short(str(error) or type(error).__name__)) from None
+    if not abs(message.stamp) <= LATEST_STAMP:
+        raise MessageError(f"stamp {message.stamp:g} is no time in seconds")
+    if (message.positions is None) == (message.pixels is None):
+        raise MessageError("expected either positions or pixels")
+    return _view(message, message.pixels) if message.pixels is not None else skeleton_frame(message)
+
+
+def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
+    """The frame that a message's positions describe; see `decode`.
+
+    Raises:
+        MessageError: they describe none.
+    """
+    positions = message.positions or []
+    rows = len(positions)
+    if rows > MOST_JOINTS:
+        raise MessageError(f"{rows} positions, at most {MOST_JOINTS} are taken")
+    columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), rows)
+    if message.std is not None and len(message.std) != rows:
+        raise MessageError(f"{len(message.std)} std for {rows} positions")
+    std = None if message.std is None else _numbers(message.std)[list(columns)]
+    if std is not None and (std < 0).any():
+        raise MessageError("std is below 0")
+    return SkeletonFrame(
+        float(message.stamp),
+        joints,
+        _positions([positions[column] for column in columns]),
+        _name(str(message.person), "person"),
+        _name(message.frame_id, "frame_id"),
+        std,
+    )
+
+
+def _view(message: SkeletonMessage, rows: list[list[float | None] | None]) -> View:
+    if len(rows) > MOST_JOINTS:
+        raise MessageError(f"{len(rows)} pixels, at most {MOST_JOINTS} are taken")
+    columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), len(rows))
+    if any(row is not None and len(row) != 2 for row in rows):
+        raise MessageError("a pixel is not two numbers")
+    pixels = _numbers([value for row in rows for value in row or (None, None)]).reshape(-1, 2)
+
+    def each(name: str, missing: float) -> Float[np.ndarray, " J"]:
+        values: list[float | None] | None = getattr(message, name)
+        if values is not None and len(values) != len(rows):
+            raise MessageError(f"{len(values)} {name} for {len(rows)} pixels")
+        return np.full(len(columns), missing) if values is None else _numbers(values)[list(columns)]
+
+    return View(
+        float(message.stamp),
+        _name(message.camera, "camera") if message.camera else "",
+        joints,
+        pixels[list(columns)],
+        each("pixel_std", np.nan),
+        each("depth", np.nan),
+        each("depth_std", np.nan),
+        each("confidence", 1.0),
+        _name(str(message.person), "person"),
+    )
+
+
+@lru_cache(maxsize=64)
+def _columns(skeleton: str | None, names: tuple[str, ...] | None, rows: int) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Which positions are used, and the canonical names of their joints.
+
+    Raises:
+        MessageError: a skeleton that is unknown, names that do not fit, or an arm joint that is not among them.
+    """
+    if skeleton is not None and skeleton not in _SKELETONS:
+        raise MessageError(f"skeleton {_short(skeleton)!r} is unknown; known are {', '.join(_SKELETONS)}")
+    known = _CANONICAL if skeleton is None else _SKELETONS[skeleton]
+    if names is None and skeleton is None:
+        raise MessageError("neither joints nor skeleton say which joint each row is of")
+    if len(known.joints if names is None else names) != rows:
+        raise MessageError(f"{rows} rows for {len(known.joints if names is None else names)} joints")
+    canonical = known.joints if names is None else tuple(known.find(_name(name, "joint")) for name in names)
+    columns = tuple(column for column, joint in enumerate(canonical) if joint is not None)
+    joints = tuple(joint for joint in canonical if joint is not None)
+    if len(set(joints)) < len(joints):
+        raise MessageError(f"joint {next(joint for joint in joints if joints.count(joint) > 1)} is there twice")
+    try:
+        require_arms(joints, "joints")
+    except DatasetError as error:
+        raise MessageError(_short(str(error))) from None
+    return columns, joints
+
+
+def _positions(rows: list[list[float | None]]) -> Float[np.ndarray, "J 3"]:
+    if any(len(row) != 3 for row in rows):
+        raise MessageError("a position is not three numbers")
+    positions = _numbers([value for row in rows for value in row]).reshape(-1, 3)
+    farthest = np.abs(positions).max(initial=0.0, where=np.isfinite(positions))
+    if farthest > FARTHEST:
+        raise MessageError(f"a position is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
+    positions[~np.isfinite(positions).all(axis=1)] = np.nan
+    return positions
+
+
+def _numbers(values: list[float | None]) -> Float[np.ndarray, " N"]:
+    """None as NaN."""
+    return np.array(values, dtype=np.float64)
+
+
+def _name(text: str, what: str) -> str:
+    if not 0 < len(text) <= LONGEST_NAME or not text.isprintable():
+        raise MessageError(f"{what} {_short(text)!r}: 1 to {LONGEST_NAME} printable characters are taken")
+    return text
+
+
+def _short(text: str) -> str:
+    """Fit for a line in a log, whatever was sent."""
+    line = "".join(letter if letter.isprintable() else "?" for letter in text[:LONGEST_WORDS])
+    return line if len(text) <= LONGEST_WORDS else f"{line}…"

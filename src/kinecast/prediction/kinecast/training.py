@@ -1,0 +1,228 @@
+"""Training of the horizon model: experts, then the gate and the spread on recordings the experts did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from kinecast.body.limits import JointLimits
+from kinecast.prediction.kinecast.actions import Actions
+from kinecast.prediction.kinecast.expert_training import fit_network, fit_radial_basis
+from kinecast.prediction.kinecast.features import yaw_frame
+from kinecast.prediction.kinecast.gate import Gate
+from kinecast.prediction.kinecast.gate_training import fit_gate
+from kinecast.prediction.kinecast.learned import Network, RadialBasis
+from kinecast.prediction.kinecast.method import LONGEST_PAUSE, Horizon, Means, Mixture
+from kinecast.prediction.kinecast.spread import SIDES, Spread
+from kinecast.prediction.kinecast.spread_training import fit_spread
+from kinecast.prediction.observation import TrainingWindows
+from kinecast.tasks.workers import Progress, Serial, Workers, generator, given
+
+__all__ = ["HorizonOptions", "fit_actions", "fitting_horizon"]
+
+Rows = Int[np.ndarray, " R"]
+Examples = tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class HorizonOptions:
+    """How the horizon model is trained.
+
+    Attributes:
+        pseudo_inputs: M of the radial basis experts.
+        network_steps: of stochastic descent.
+        folds: parts of the data that gate and spread are fitted on, each with experts that have not seen it.
+        networks: whose mean is the neural expert, each from its own seed; folds make do with one.
+        noise: white noise of the second radial basis expert's inputs, log-uniform between these [m].
+        seed: of everything random.
+    """
+
+    pseudo_inputs: int = 256
+    network_steps: int = 2500
+    folds: int = 4
+    networks: int = 2
+    noise: tuple[float, float] = (5e-4, 12e-3)
+    seed: int = 0
+
+
+def fitting_horizon(
+    workers: Workers,
+    windows: TrainingWindows,
+    data: Any,
+    limits: JointLimits | None,
+    noise: float,
+    options: HorizonOptions,
+) -> Any:
+    """Trains the method `kinecast`.
+
+    Args:
+        workers: that do the tasks: experts, what they say of each recording, gate and spread.
+        windows: of consecutive frames, recording by recording; their groups (tasks, recordings) are left out one
+            after another.
+        data: stands for the same windows.
+        limits: of the arm's angles; None for none.
+        noise: spread of a measured joint about the true one [m].
+        options: see HorizonOptions.
+
+    Returns:
+        What stands for the method.
+    """
+    frames, steps, dt = windows.shape
+    folds = windows.folds(options.folds)
+    names = np.unique(folds)
+    held: list[tuple[Any, Rows, tuple[int, int]]] = []
+    for place, name in enumerate(names):
+        outside = folds == name
+        inside = ~outside & ~windows.near(outside) if len(names) > 1 else outside
+        experts = _fitting_experts(workers, data, np.flatnonzero(inside), options, 1)
+        mixture = workers.submit(Mixture, experts, None, frames, steps)
+        for recording in np.unique(windows.recording[outside]).tolist():
+            held.append((mixture, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
+    examples = [workers.submit(_gate_examples, *each, data, options.seed) for each in held]
+    gate = workers.submit(_gate, examples, options.seed)
+    errors = [workers.submit(_spread_examples, mixture, rows, data, gate) for mixture, rows, _ in held]
+    spread = workers.submit(_spread, errors)
+    final = _fitting_experts(workers, data, np.arange(len(windows)), options, options.networks)
+    mixture = workers.submit(Mixture, final, gate, frames, steps)
+    return workers.submit(Horizon, mixture, spread, dt, noise, limits)
+
+
+def fit_actions(
+    windows: Mapping[str, TrainingWindows],
+    options: HorizonOptions,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
+) -> Actions:
+    """Trains experts for each action on its windows alone.
+
+    Args:
+        windows: of each action, by its name.
+        options: see HorizonOptions; folds do not matter.
+        progress: called with (done, total) tasks.
+        workers: that do them; None for this process.
+    """
+    workers = workers or Serial()
+    fits = [
+        _fitting_experts(workers, workers.submit(given, own), np.arange(len(own)), options, 1)
+        for own in windows.values()
+    ]
+    found = iter(workers.results([expert for experts in fits for expert in experts], progress))
+    return Actions(tuple(windows), tuple(tuple(next(found) for _ in experts) for experts in fits))
+
+
+def _fitting_experts(workers: Workers, data: Any, rows: Rows, options: HorizonOptions, networks: int) -> list[Any]:
+    """A radial basis, another on noisy inputs for poor sensors, and the mean of networks; stand for the experts."""
+    seeds = range(options.seed, options.seed + networks)
+    fitted = [workers.submit(_network, data, rows, options.network_steps, seed) for seed in seeds]
+    return [
+        workers.submit(_radial_basis, data, rows, options),
+        workers.submit(_noisy_radial_basis, data, rows, options),
+        workers.submit(Network.mean_of, fitted),
+    ]
+
+
+def _network(data: TrainingWindows, rows: Rows, steps: int, seed: int) -> Network:
+    return fit_network(data.observed[rows], data.future[rows], steps, seed)
+
+
+def _radial_basis(data: TrainingWindows, rows: Rows, options: HorizonOptions) -> RadialBasis:
+    return fit_radial_basis(data.observed[rows], data.future[rows], options.pseudo_inputs, options.seed)
+
+
+def _noisy_radial_basis(data: TrainingWindows, rows: Rows, options: HorizonOptions) -> RadialBasis:
+    windows = data.take(rows)
+    noisy = _with_noise(windows, np.random.default_rng([options.seed, 1]), options.noise)
+    return fit_radial_basis(
+        np.concatenate([windows.observed, noisy]),
+        np.concatenate([windows.future, windows.future]),
+        options.pseudo_inputs,
+        options.seed,
+    )
+
+
+def _with_noise(
+    windows: TrainingWindows, rng: np.random.Generator, least_most: tuple[float, float]
+) -> Float[np.ndarray, "W N 6 3"]:
+    """The observed windows with white noise, more on some windows and joints than on others."""
+    count = len(windows)
+    level = np.exp(
+        rng.uniform(np.log(least_most[0]), np.log(least_most[1]), (count, 1, 1, 1))
+        + 0.4 * rng.standard_normal((count, 1, 6, 1))
+    )
+    return windows.observed + level * rng.standard_normal(windows.observed.shape)
+
+
+def _gate_examples(mixture: Mixture, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int) -> Examples:
+    """Every fourth window of a recording as the gate would see it online, from a clean and from a noisy sensor.
+
+    Returns:
+        (B, E, 6, Q), (B, 6, 5), (B, E, T, 6, 3), (B, T, 6, 3) as `fit_gate` takes them.
+    """
+    part = data.take(rows)
+    errors, looks, forecasts, futures = [], [], [], []
+    for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
+        for row, means, _ in _followed(mixture, each):
+            if row % 4:
+                continue
+            last = each.observed[row, -1]
+            errors.append(means.inputs.errors)
+            looks.append(means.inputs.window)
+            forecasts.append((means.forecasts - last).astype(np.float32))
+            futures.append(each.future[row] - last)
+    return np.stack(errors), np.stack(looks), np.stack(forecasts), np.stack(futures)
+
+
+def _gate(examples: Sequence[Examples], seed: int) -> Gate:
+    errors, looks, forecasts, futures = map(np.concatenate, zip(*examples, strict=True))
+    return fit_gate(errors, looks, forecasts, futures, seed=seed)
+
+
+def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> TrainingWindows:
+    """One recording's windows as a noisier sensor would have given them: the same noise wherever a frame appears."""
+    frames, steps = windows.observed.shape[1], windows.future.shape[1]
+    first = windows.frame.min() - frames + 1
+    length = int(windows.frame.max() + steps - first + 1)
+    level = np.exp(rng.uniform(np.log(1e-3), np.log(8e-3)) + 0.4 * rng.standard_normal((1, 6, 1)))
+    noise = level * rng.standard_normal((length, 6, 3))
+    seen = (windows.frame - first)[:, None] + np.arange(1 - frames, 1)
+    ahead = (windows.frame - first)[:, None] + np.arange(1, steps + 1)
+    return replace(windows, observed=windows.observed + noise[seen], future=windows.future + noise[ahead])
+
+
+def _spread_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
+    """Errors of the mixture on a recording in each arm's own axes, features of the spread, speeds of the joints.
+
+    Returns:
+        (B, T, 6, 3), (B, 6, F), (B, 6) as `fit_spread` takes them.
+    """
+    errors, features, speeds = [], [], []
+    part = data.take(rows)
+    for row, means, window in _followed(replace(mixture, gate=gate), part):
+        own = (part.future[row] - means.mean) @ yaw_frame(window[-1])
+        errors.append(np.einsum("tjd,jde->tje", own, SIDES))
+        features.append(means.features)
+        speeds.append(np.linalg.norm(np.diff(window, axis=0), axis=-1).mean(axis=0))
+    return np.stack(errors), np.stack(features), np.stack(speeds)
+
+
+def _spread(examples: Sequence[Examples]) -> Spread:
+    errors, features, speeds = map(np.concatenate, zip(*examples, strict=True))
+    return fit_spread(errors, features, speeds)
+
+
+def _followed(mixture: Mixture, windows: TrainingWindows) -> Iterator[tuple[int, Means, Float[np.ndarray, "N 6 3"]]]:
+    """One recording frame by frame, as online: row, mixture, window."""
+    made = mixture.forecasts(windows.observed)
+    memory = mixture.memory()
+    before = None
+    for row, frame in enumerate(windows.frame):
+        pause = 0 if before is None else int(frame - before) - 1
+        memory = mixture.memory() if pause > LONGEST_PAUSE else memory
+        memory.skip(pause if pause <= LONGEST_PAUSE else 0)
+        window = windows.observed[row]
+        yield row, mixture.follow(memory, window, window[-1], made[row]), window
+        before = frame

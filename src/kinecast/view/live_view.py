@@ -1,0 +1,194 @@
+"""Predictions as they come, in the browser: a sink of `kinecast live`."""
+
+from __future__ import annotations
+
+import html
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from kinecast.errors import MissingExtraError
+from kinecast.geometry.scene import Scene
+from kinecast.live.attempts import Attempts
+from kinecast.live.publication import Publication
+from kinecast.live.tally import Tally
+from kinecast.types import LIMBS, Status
+from kinecast.view.colours import hex_of
+from kinecast.view.nodes import LATE, OPACITY, REGION, SOON, CapsulesNode, People
+from kinecast.view.scene_nodes import draw_scene
+from kinecast.view.server import open_server, stop_server, url_of
+
+try:
+    from viser import ViserServer
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("the browser view", "view") from error
+
+__all__ = ["LiveView"]
+
+REST, PATIENCE = 0.025, 0.012
+"""Between two pictures [s]; after that the next prediction is drawn as it comes, or, after so long, the last one."""
+GONE = 1.0
+"""A person without a newer prediction for so long is drawn no more [s]."""
+MOST_SHOWN = 16
+"""Persons; of more, those whose predictions are newest."""
+FROM = np.array([1.9, -1.4, 0.9])
+"""Where the first person is looked at from [m]."""
+GOOD, UNSURE, LOST = (24, 128, 64), (178, 112, 0), (190, 38, 38)
+
+
+class LiveView:
+    """Draws the newest prediction of every person about 30 times a second: body, arms at every step, tubes, status.
+
+    Args:
+        host, port: where it listens; port 0 is any that is free.
+        scene: obstacles and goals, drawn too.
+        name: of the sink in messages.
+
+    Raises:
+        OptionError: nothing can listen there.
+    """
+
+    def __init__(self, host: str, port: int, scene: Scene | None = None, name: str = "the view") -> None:
+        self.tally = Tally()
+        self._server = open_server(host, port, name)
+        self.address = url_of(self._server)
+        self._attempts = Attempts(self.address, "drawn")
+        self._stage = _Stage(self._server, scene)
+        self._waiting: dict[tuple[str, str], Publication] = {}
+        self._shown: dict[tuple[str, str], tuple[Publication, float]] = {}
+        self._lock = threading.Lock()
+        self._arrived = threading.Event()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
+        self._thread.start()
+
+    @property
+    def failure(self) -> str | None:
+        """See kinecast.live.sinks.Sink."""
+        return self._attempts.failure
+
+    def publish(self, publication: Publication) -> None:
+        """See kinecast.live.sinks.Sink; one that a newer replaces before it is drawn counts as dropped."""
+        with self._lock:
+            self.tally.dropped += publication.key in self._waiting
+            self._waiting[publication.key] = publication
+        self._arrived.set()
+
+    def close(self) -> None:
+        """See kinecast.live.sinks.Sink."""
+        self._closing.set()
+        self._thread.join()
+        stop_server(self._server)
+
+    def _run(self) -> None:
+        while not self._closing.wait(REST):
+            self._arrived.clear()
+            self._arrived.wait(PATIENCE)
+            with self._lock:
+                newest, self._waiting = self._waiting, {}
+            if self._attempts.succeeds(self._refresh, newest, time.monotonic()):
+                for publication in newest.values():
+                    self.tally.sent(time.monotonic() - publication.acquired)
+            else:
+                self.tally.dropped += len(newest)
+                for key in newest:  # else what cannot be drawn would keep others from being drawn
+                    self._shown.pop(key, None)
+
+    def _refresh(self, newest: Mapping[tuple[str, str], Publication], now: float) -> None:
+        gone = [key for key, (_, since) in self._shown.items() if now - since > GONE]
+        if not newest and not gone:
+            return
+        for key in gone:
+            del self._shown[key]
+        self._shown.update({key: (publication, now) for key, publication in newest.items()})
+        last = sorted(self._shown.values(), key=lambda each: each[1])[-MOST_SHOWN:]
+        self._shown = {publication.key: (publication, since) for publication, since in last}
+        with self._server.atomic():
+            self._stage.show([publication for publication, _ in self._shown.values()])
+        self._server.flush()
+
+
+class _Stage:
+    """Everything that is seen."""
+
+    def __init__(self, server: ViserServer, scene: Scene | None) -> None:
+        self._server = server
+        server.scene.set_up_direction("+z")
+        server.initial_camera.up = (0.0, 0.0, 1.0)
+        server.scene.add_grid(
+            "/floor", 6.0, 6.0, cell_size=0.25, cell_color=(226, 229, 233), section_size=1.0,
+            section_color=(208, 213, 219), shadow_opacity=0.12,
+        )  # fmt: skip
+        if scene is not None:
+            draw_scene(server.scene, scene)
+        self._people = People(server.scene)
+        self._tubes = CapsulesNode(server.scene, "/region/tubes", REGION, OPACITY)
+        self._arms: Any = server.scene.add_line_segments(
+            "/region/arms", np.zeros((0, 2, 3), dtype=np.float32), np.zeros((0, 2, 3), dtype=np.uint8), thickness=0.008
+        )
+        self._aimed = False
+        self._words = server.gui.add_html(_words([]))
+
+    def show(self, publications: Sequence[Publication]) -> None:
+        """These persons and no others."""
+        self._people.show([_body(each) for each in publications])
+        if not self._aimed and publications:
+            self._aim(_body(publications[0])[1])
+        known = [each for each in publications if np.isfinite(each.prediction.mean).any()]
+        self._tubes.hide()
+        self._arms.visible = bool(known)
+        if known:
+            tubes = [each.tubes for each in known]
+            self._tubes.show(*(
+                np.concatenate([getattr(each, part)[[len(each.radius) // 2, -1]].reshape(-1, *size) for each in tubes])
+                for part, size in (("start", (3,)), ("end", (3,)), ("radius", ()))
+            ))  # fmt: skip
+            lines = [_lines(each) for each in known]
+            self._arms.points = np.concatenate([points for points, _ in lines])
+            self._arms.colors = np.concatenate([colours for _, colours in lines])
+        self._words.content = _words(publications)
+
+    def _aim(self, body: np.ndarray) -> None:
+        """Looks at the first person, once."""
+        seen = body[np.isfinite(body).all(axis=1)]
+        if not len(seen):
+            return
+        self._aimed = True
+        middle = np.median(seen, axis=0)
+        self._server.initial_camera.position, self._server.initial_camera.look_at = tuple(middle + FROM), tuple(middle)
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = middle + FROM, middle
+
+
+def _body(publication: Publication) -> tuple[tuple[str, ...], np.ndarray]:
+    frame = publication.frame
+    count = min(len(frame.joints), len(frame.positions))
+    return frame.joints[:count], frame.positions[:count]
+
+
+def _lines(publication: Publication) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2, 3) the arms at every predicted step [m], and (N, 2, 3) their colours."""
+    mean = publication.prediction.mean
+    share = np.linspace(0.0, 1.0, len(mean))[:, None, None, None]
+    points = np.stack([mean[:, list(limb)] for limb in LIMBS], axis=1).astype(np.float32)
+    colours = np.broadcast_to(SOON + share * (LATE - SOON), points.shape).astype(np.uint8)
+    known = np.isfinite(points).all(axis=(2, 3))
+    return points[known], colours[known]
+
+
+def _words(publications: Sequence[Publication]) -> str:
+    """Who is there, and what robots are to make of it; names come from outside and are escaped."""
+    if not publications:
+        return '<div id="live">Nobody is seen.</div>'
+    rows = []
+    for each in publications:
+        status = each.prediction.status
+        colour = GOOD if status is Status.OK else LOST if status in (Status.FAULT, Status.BLOCKED) else UNSURE
+        rows.append(
+            f"<p><b>{html.escape(each.prediction.person)}</b> · {html.escape(each.source)}<br>"
+            f'<span style="color:{hex_of(colour)}">{status.name}</span>: {html.escape(status.advice)}</p>'
+        )
+    return f'<div id="live" style="overflow-wrap:anywhere;padding:0 1em">{"".join(rows)}</div>'
