@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from kinecast.live.clock import SourceClock
 from kinecast.live.detection import View
@@ -21,6 +21,7 @@ FORGET = 2.0
 """After so much silence [s] a person's name, or a sender's place, is free for another."""
 
 
+@runtime_checkable
 class CameraFusion(Protocol):
     """Where what several cameras see goes (kinecast.cameras.fused)."""
 
