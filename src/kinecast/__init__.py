@@ -8,19 +8,24 @@ prediction.tubes(0.95), prediction.log_prob(positions), prediction.probability_o
 Types first: kinecast.types. Recordings: kinecast.datasets.loading. Training: kinecast.prediction.methods.
 """
 
+from __future__ import annotations
+
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 # Threads of compiled loops that wait by spinning starve whatever else the robot runs, and then each other: with one
 # other busy process on two cores p99 of an online step was 80 ms, 14 ms without (docs/decisions/0015). Read once, when
 # the OpenMP library is loaded; who has chosen otherwise keeps their choice.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.errors import KinecastError
-from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box, Capsule
-from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
+if TYPE_CHECKING:
+    from kinecast.body.skeleton import ARM_JOINTS
+    from kinecast.errors import KinecastError
+    from kinecast.geometry.scene import Scene
+    from kinecast.geometry.shapes import Box, Capsule
+    from kinecast.predictor import Predictor, PredictorOptions
+    from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
 __all__ = [
     "ARM_JOINTS",
@@ -38,3 +43,20 @@ __all__ = [
 ]
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "body.skeleton": ("ARM_JOINTS",),
+    "errors": ("KinecastError",),
+    "geometry.scene": ("Scene",),
+    "geometry.shapes": ("Box", "Capsule"),
+    "predictor": ("Predictor", "PredictorOptions"),
+    "types": ("Prediction", "SkeletonFrame", "Status", "Tubes"),
+}
+"""Where each public name lives: it is imported when first asked for, so that the package itself costs nothing."""
+
+
+def __getattr__(name: str) -> object:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{home}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with, joint_covariances
-from kinecast.prediction.methods import read_method, shipped_methods
+from kinecast.prediction.method import Forecast, Method, forecast_in_scene, joint_covariances
 from kinecast.prediction.observation import Observation
 from kinecast.track import Track
 from kinecast.types import Density, Prediction, SkeletonFrame, Status
@@ -45,7 +41,6 @@ class PredictorOptions:
         longest_delay: a frame older than this when it arrives is LATE [s].
         most_persons: persons followed at once; the one not seen for longest is forgotten first.
         forget_after: a person not seen for this long is forgotten [s].
-        threads: cores that compiled loops may use, where there are so many; leave some to the rest of the robot.
     """
 
     samples: int = 1000
@@ -53,7 +48,6 @@ class PredictorOptions:
     longest_delay: float = 0.3
     most_persons: int = 64
     forget_after: float = 5.0
-    threads: int = 2
 
     def __post_init__(self) -> None:
         if not 1 <= self.samples <= 100_000:
@@ -62,8 +56,6 @@ class PredictorOptions:
             raise OptionError(f"longest_delay {self.longest_delay} s must be above 0")
         if self.most_persons < 1:
             raise OptionError(f"most_persons {self.most_persons} must be at least 1")
-        if self.threads < 1:
-            raise OptionError(f"threads {self.threads} must be at least 1")
 
 
 class Predictor:
@@ -78,7 +70,7 @@ class Predictor:
 
     def __init__(
         self,
-        method: Method,
+        method: Method[Any],
         noise: float = 0.0,
         scene: Scene | None = None,
         options: PredictorOptions | None = None,
@@ -97,27 +89,23 @@ class Predictor:
         Raises:
             ModelError: the file is no model of this kinecast.
         """
+        from kinecast.prediction.methods import read_method  # here, since a method may bring its own reader
+
         card, method = read_method(Path(model))
         return cls(method, card.noise, scene, options)
 
     @classmethod
     def shipped(cls, scene: Scene | None = None, options: PredictorOptions | None = None) -> Predictor:
         """A predictor with the best model that comes with kinecast."""
-        card, methods = shipped_methods()
-        return cls(methods[card.method], card.noise, scene, options)
+        from kinecast.prediction.methods import read_shipped
+
+        card, method = read_shipped("kinecast")
+        return cls(method, card.noise, scene, options)
 
     def _warm_up(self) -> None:
         """Observes a resting figure, so that the first frame is as fast as the thousandth."""
-        rest = np.array(
-            [
-                [0, 0.2, 1.4],
-                [0, 0.25, 1.1],
-                [0.2, 0.2, 1.0],
-                [0, -0.2, 1.4],
-                [0, -0.25, 1.1],
-                [0.2, -0.2, 1.0],
-            ]
-        )
+        left = [[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0]]
+        rest = np.array(left + [[x, -y, z] for x, y, z in left])
         for stamp in self.method.dt * np.arange(self.method.frames + 1):
             self._observe(SkeletonFrame(float(stamp), ARM_JOINTS, rest), float(stamp))
         self._tracks.clear()
@@ -135,8 +123,7 @@ class Predictor:
         """
         started = time.perf_counter()
         try:
-            with _at_most(self.options.threads):
-                prediction = self._observe(frame, frame.stamp if now is None else now)
+            prediction = self._observe(frame, frame.stamp if now is None else now)
         except Exception:
             # The loop of a robot must go on whatever happens here; the status makes it stop or slow down.
             log.exception("prediction failed for person %r at %r", frame.person, frame.stamp)
@@ -152,8 +139,9 @@ class Predictor:
         observation, trouble = track.observation(self.noise)
         if observation is None:
             return self._reachable(frame.person, track.stamps[-1], now, *track.last_seen(), trouble, track.rng)
-        memory = self._follow(track, observation)
-        forecast = forecast_with(self.method, memory, observation, track.rng, self.options.samples, self.scene)
+        self._update(track, observation)
+        samples = self.options.samples
+        forecast = forecast_in_scene(self.method, track.state, observation, track.rng, samples, self.scene)
         covariance = joint_covariances(forecast.samples)
         if not np.isfinite(covariance).all():  # a sample that is not finite makes it so
             return self._fault(frame)
@@ -161,7 +149,7 @@ class Predictor:
         if taken is Status.OK and given_way and _speed(observation) > AT_REST:
             taken = Status.UNFAMILIAR
         status = trouble if trouble is not Status.OK else taken
-        if forecast.blocked:
+        if forecast.effective_sample_size == 0:
             status = Status.BLOCKED
         delay = now - observation.stamp
         passed = observation.times(self.method.steps)[-1] <= now + 1e-9
@@ -169,19 +157,13 @@ class Predictor:
             status = Status.LATE
         return self._prediction(frame.person, observation, forecast, covariance, status, now)
 
-    def _follow(self, track: Track, observation: Observation) -> Any:
-        """What is remembered of this person after this frame; None for methods that remember nothing.
-
-        A camera faster than the model's grid is followed at the grid's pace.
-        """
-        if not isinstance(self.method, Follower):
-            return None
-        if track.memory is None:
-            track.memory = self.method.memory()
-        if observation.stamp >= track.followed + 0.9 * self.method.dt:
-            self.method.follow(track.memory, observation, track.arms[-1])
-            track.followed = observation.stamp
-        return track.memory
+    def _update(self, track: Track, observation: Observation) -> None:
+        """The method learns of this frame; a camera faster than the model's grid is taken at the grid's pace."""
+        if track.state_stamp == -np.inf:
+            track.state = self.method.init_state()
+        if observation.stamp >= track.state_stamp + 0.9 * self.method.dt:
+            track.state = self.method.update(track.state, observation, track.arms[-1])
+            track.state_stamp = observation.stamp
 
     def _prediction(
         self,
@@ -205,8 +187,8 @@ class Predictor:
             status=status,
             diagnostics={
                 **forecast.diagnostics,
-                "accepted_fraction": float(forecast.accepted[-1]),
-                "effective_sample_size": float(forecast.distinct),
+                "accepted_fraction": forecast.accepted_fraction,
+                "effective_sample_size": float(forecast.effective_sample_size),
                 "delay": max(now - observation.stamp, 0.0),
             },
             density=_LaterSteps(forecast.density, ahead),
@@ -276,17 +258,6 @@ class Predictor:
                 "delay": max(now - stamp, 0.0),
             },
         )
-
-
-@contextmanager
-def _at_most(threads: int) -> Iterator[None]:
-    """Compiled loops called from this thread use no more threads than these."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(threads, before))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
 
 
 def _speed(observation: Observation) -> float:

@@ -37,7 +37,7 @@ class Track:
         dt: time between frames of the model's grid [s].
         frames: N, frames of the model's window.
         rng: of this person's predictions.
-        memory: what a method that follows the person remembers, and `followed`, the stamp of its newest frame.
+        state: what the method remembers, and `state_stamp`, the stamp of its newest frame [s].
     """
 
     dt: float
@@ -48,8 +48,8 @@ class Track:
     source: UpSource | None = None
     lean: float = 0.0
     std: Float[np.ndarray, "6"] | None = None
-    memory: Any = None
-    followed: float = -np.inf
+    state: Any = None
+    state_stamp: float = -np.inf
 
     @property
     def span(self) -> float:
@@ -73,7 +73,7 @@ class Track:
             if age > BACKWARDS or -age > LONGEST_GAP:
                 self.stamps.clear()
                 self.arms.clear()
-                self.memory, self.followed = None, -np.inf
+                self.state, self.state_stamp = None, -np.inf
         arms = _arms(frame)
         repeated = bool(self.arms) and np.array_equal(self.arms[-1], arms)
         self.stamps.append(frame.stamp)

@@ -1,10 +1,11 @@
-"""Exact densities over the pose of both arms at each predicted step (Eq. 6).
+"""The exact density over the pose of both arms at each predicted step (Eq. 6, 7), the same for every method.
 
 A pose is read in three blocks: both shoulders, then the left arm (elbow, wrist) given the shoulders, then the
-right arm given what came before. Each block's predictive density is mixed with a small broad part for
-tracker faults, so that one jump of a tracker costs a bounded price instead of an infinite one:
+right arm given what came before. A method states the density f_bc of each block b in each component c of a mixture.
+Each is mixed with a small broad part for tracker faults, so that one jump of a tracker costs a bounded price instead
+of an infinite one:
 
-    g(x) = Π_b [(1 − ε) f_b(x) + ε h_b(x)]
+    g(x) = Σ_c w_c Π_b [(1 − ε) f_bc(x) + ε h_b(x)]
 
 Constraints bind the true pose, not the tracker's faults: they act on the part of g without any fault,
 f = Π_b f_b, which becomes f(x) · P(allowed | x) / P(allowed) (Eq. 7, normalised).
@@ -12,19 +13,20 @@ f = Π_b f_b, which becomes f(x) · P(allowed | x) / P(allowed) (Eq. 7, normalis
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
-from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
+from jaxtyping import Float, Int
 
 from kinecast.body.arm_angles import TURN
 from kinecast.body.posture import coordinates_from_postures, postures_from_coordinates, postures_from_points
-from kinecast.prediction.allowance import Allowance
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.constraint import ConstraintFactor
+from kinecast.prediction.observation import Observation
 
-__all__ = ["BLOCKS", "CoordinateGaussianDensity", "PositionGaussianDensity", "combine"]
+__all__ = ["BLOCKS", "JOINT_ORDER", "BlockDensity", "GaussianMixture", "PoseDensity", "block_log_det"]
 
 FAULT_PROBABILITY = 0.01
 """ε: share of blocks that are a tracker's fault."""
@@ -37,118 +39,129 @@ JOINT_ORDER = [joint for block in BLOCKS for joint in block]
 """Permutation of the six joints into block order."""
 
 TURNING = (3, 6, 7, 12, 13)
-"""Coordinates that are angles: yaw, flexion and abduction of each arm."""
-
-Blocks = Float[np.ndarray, "T 3"]
+"""Posture coordinates that are angles: yaw, flexion and abduction of each arm."""
 
 
-def combine(inlier: Blocks, fault: Blocks, allowed: Float[np.ndarray, " T"] | float = 0.0) -> Float[np.ndarray, " T"]:
-    """log g: every way in which blocks may be faulty, the faultless way weighted by what is allowed.
+@runtime_checkable
+class BlockDensity(Protocol):
+    """The density of each block of a pose in each component of a mixture, before constraints and faults."""
 
-    Args:
-        inlier: (T, 3) log f_b.
-        fault: (T, 3) log h_b.
-        allowed: (T,) log [P(allowed | x) / P(allowed)].
-    """
-    choices = np.stack([np.log1p(-FAULT_PROBABILITY) + inlier, np.log(FAULT_PROBABILITY) + fault])
-    ways = []
-    for way in product((0, 1), repeat=3):
-        total = sum(choices[faulty, :, block] for block, faulty in enumerate(way))
-        ways.append(total + (allowed if not any(way) else 0.0))
-    return np.asarray(logsumexp(np.stack(ways), axis=0))
-
-
-def fault_log_prob(points: Float[np.ndarray, "T 6 3"], mean: Float[np.ndarray, "T 6 3"]) -> Blocks:
-    """(T, 3) log h_b: each block spread broadly about its prediction."""
-    square = ((points - mean) ** 2).sum(axis=-1) / FAULT_SPREAD**2
-    joint = -0.5 * square - 1.5 * np.log(2 * np.pi * FAULT_SPREAD**2)
-    return np.stack([joint[:, list(block)].sum(axis=1) for block in BLOCKS], axis=1)
+    def log_blocks(
+        self, poses: Float[np.ndarray, "T 6 3"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C T 3"]]:
+        """(C,) log weights of the components and (C, T, 3) log f_bc of torso-frame poses [nats]."""
+        ...
 
 
 @dataclass(frozen=True)
-class PositionGaussianDensity:
-    """A Gaussian over the 18 coordinates of the six joints at each step.
+class PoseDensity:
+    """g(x) of the module's text, asked in the world; a rigid motion leaves a density's value as it is.
 
     Attributes:
-        mean: (T, 6, 3) [m].
-        cholesky: (T, 18, 18) lower factor of each step's covariance, joints in `JOINT_ORDER` [m].
-        allowance: constraints, or None.
+        observation: places the torso frame.
+        centre: (T, 6, 3) about which faults are spread, torso frame [m].
+        blocks: the density without faults and constraints.
+        constraint: what joint limits and scene leave of it; None where nothing binds.
     """
 
-    mean: Float[np.ndarray, "T 6 3"]
-    cholesky: Float[np.ndarray, "T 18 18"]
-    allowance: Allowance | None = None
+    observation: Observation
+    centre: Float[np.ndarray, "T 6 3"]
+    blocks: BlockDensity
+    constraint: ConstraintFactor | None = None
+
+    def within(self, scene: Scene) -> PoseDensity:
+        """The same, zero inside obstacles; as it is where nothing binds."""
+        return self if self.constraint is None else replace(self, constraint=replace(self.constraint, scene=scene))
 
     def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
         """(T,) log density [nats per m^18]; NaN where a joint is NaN."""
-        error = (positions - self.mean)[:, JOINT_ORDER].reshape(len(positions), 18)
-        inlier = gaussian_blocks(error, self.cholesky)
-        return combine(inlier, fault_log_prob(positions, self.mean), log_allowed(self.allowance, positions))
+        known = np.isfinite(positions).all(axis=(1, 2))
+        poses = np.where(known[:, None, None], self.observation.to_torso(positions), self.centre)
+        log_weights, blocks = self.blocks.log_blocks(poses)
+        inlier = np.log1p(-FAULT_PROBABILITY) + blocks
+        fault = np.log(FAULT_PROBABILITY) + self._log_fault(poses)
+        allowed = 0.0 if self.constraint is None else self.constraint.log_factor(poses)
+        a, b, c = np.moveaxis(inlier, -1, 0)
+        u, v, w = np.moveaxis(fault, -1, 0)
+        # Π(f + h) with Π f weighted by what is allowed: no fault; the first in the left block, …
+        ways = [a + b + c + allowed, u + np.logaddexp(b, v) + np.logaddexp(c, w), a + v + np.logaddexp(c, w), a + b + w]
+        log_g = np.logaddexp.reduce(np.logaddexp.reduce(ways, axis=0) + log_weights[:, None], axis=0)
+        return np.where(known, log_g, np.nan)
 
-
-def gaussian_blocks(error: Float[np.ndarray, "T 18"], cholesky: Float[np.ndarray, "T 18 18"]) -> Blocks:
-    """(T, 3) log density of each six-dimensional block of a Gaussian given the blocks before it."""
-    white = whiten(error, cholesky)
-    diagonal = np.log(np.diagonal(cholesky, axis1=1, axis2=2))
-    terms = -0.5 * white**2 - diagonal - 0.5 * np.log(2 * np.pi)
-    return terms.reshape(-1, 3, 6).sum(axis=2)
-
-
-def whiten(error: Float[np.ndarray, "T D"], cholesky: Float[np.ndarray, "T D D"]) -> Float[np.ndarray, "T D"]:
-    """(T, D) errors in units of unit spread: the factor's inverse times each."""
-    return np.stack(
-        [
-            solve_triangular(factor, row, lower=True, check_finite=False)
-            for factor, row in zip(cholesky, error, strict=True)
-        ]
-    )
-
-
-def log_allowed(allowance: Allowance | None, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"] | float:
-    """(T,) log [P(allowed | x) / P(allowed)]; 0 without constraints."""
-    return 0.0 if allowance is None else allowance.log_given(positions) - allowance.log_total
+    def _log_fault(self, poses: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, "T 3"]:
+        """(T, 3) log h_b."""
+        square = ((poses - self.centre) ** 2).sum(axis=-1) / FAULT_SPREAD**2
+        joint = -0.5 * square - 1.5 * np.log(2 * np.pi * FAULT_SPREAD**2)
+        return joint[:, JOINT_ORDER].reshape(-1, 3, 2).sum(axis=-1)
 
 
 @dataclass(frozen=True)
-class CoordinateGaussianDensity:
-    """A Gaussian over the 18 smooth posture coordinates at each step, carried to positions (Eq. 6).
+class GaussianMixture:
+    """Σ_c w_c Σ_k v_k N(mean_c, s_k² Σ_c) over 18 coordinates at each step, of positions or of the posture.
 
-    f(x) = f(coordinates) · |∂ coordinates / ∂ angles| / |det ∂ x / ∂ angles|: with bone lengths, shoulder
-    width and torso pose as the paper's dummy variables the Jacobian is square and the result exact.
+    Posture coordinates are carried to positions by Eq. 6: f(x) = f(coordinates) · |∂ coordinates / ∂ angles| /
+    |det ∂ x / ∂ angles|; with bone lengths, shoulder width and torso pose as the paper's dummy variables the Jacobian
+    is square and the result exact.
 
     Attributes:
-        mean: (T, 18) smooth posture coordinates.
-        cholesky: (T, 18, 18) lower factor of each step's covariance.
-        points: (T, 6, 3) where the mean lies [m].
-        allowance: constraints, or None.
+        mean: (C, T, 18) positions in the order of `JOINT_ORDER` [m], or smooth posture coordinates.
+        factor: (K, T, 18, R) of covariances = factor · factorᵀ, in the coordinates of the mean.
+        weights: (C,) of the components.
+        kind: (C,) which covariance each component has.
+        scales, scale_weights: (F,) common factors of the spread, and how likely each is.
+        posture: whether the coordinates are those of the posture.
+        floor: least spread of a coordinate, for directions that a low-rank factor leaves out.
     """
 
-    mean: Float[np.ndarray, "T 18"]
-    cholesky: Float[np.ndarray, "T 18 18"]
-    points: Float[np.ndarray, "T 6 3"]
-    allowance: Allowance | None = None
+    mean: Float[np.ndarray, "C T 18"]
+    factor: Float[np.ndarray, "K T 18 R"]
+    weights: Float[np.ndarray, " C"] = field(default_factory=lambda: np.ones(1))
+    kind: Int[np.ndarray, " C"] = field(default_factory=lambda: np.zeros(1, dtype=int))
+    scales: Float[np.ndarray, " F"] = field(default_factory=lambda: np.ones(1))
+    scale_weights: Float[np.ndarray, " F"] = field(default_factory=lambda: np.ones(1))
+    posture: bool = False
+    floor: float = 0.0
 
-    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
-        """(T,) log density [nats per m^18] of torso-frame points; NaN where a joint is NaN."""
-        finite = np.isfinite(positions).all(axis=(1, 2))
-        result = np.full(len(positions), np.nan)
-        if finite.any():
-            result[finite] = self._log_prob(np.where(finite[:, None, None], positions, self.points))[finite]
-        return result
+    def log_blocks(
+        self, poses: Float[np.ndarray, "T 6 3"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C T 3"]]:
+        """See BlockDensity; a component for each mean and scale."""
+        error, log_volume = self._from_postures(poses) if self.posture else self._from_positions(poses)
+        white = np.linalg.solve(self._cholesky[self.kind], error[..., None])[..., 0]
+        square = (white**2).reshape(*white.shape[:2], 3, 6).sum(axis=-1)
+        scales = self.scales[:, None, None, None]
+        blocks = (
+            -0.5 * square / scales**2 - 6 * np.log(scales) - (self._log_root_det[self.kind] + 3 * np.log(2 * np.pi))
+        )
+        weights = np.outer(self.scale_weights, self.weights)
+        return np.log(np.maximum(weights, 1e-300)).ravel(), (blocks + log_volume).reshape(-1, *square.shape[1:])
 
-    def _log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+    @cached_property
+    def _cholesky(self) -> Float[np.ndarray, "K T 18 18"]:
+        return np.linalg.cholesky(self.factor @ self.factor.swapaxes(2, 3) + self.floor**2 * np.eye(18))
+
+    @cached_property
+    def _log_root_det(self) -> Float[np.ndarray, "K T 3"]:
+        diagonal = np.log(np.diagonal(self._cholesky, axis1=2, axis2=3))
+        return diagonal.reshape(*diagonal.shape[:2], 3, 6).sum(axis=-1)
+
+    def _from_positions(self, poses: Float[np.ndarray, "T 6 3"]) -> tuple[Float[np.ndarray, "C T 18"], float]:
+        return poses[:, JOINT_ORDER].reshape(-1, 18) - self.mean, 0.0
+
+    def _from_postures(
+        self, poses: Float[np.ndarray, "T 6 3"]
+    ) -> tuple[Float[np.ndarray, "C T 18"], Float[np.ndarray, "T 3"]]:
         # Only the way of writing the pose that is nearest to the mean counts: the others lie half a turn away.
-        nearby = postures_from_coordinates(self.mean)
-        postures = postures_from_points(positions[:, None], nearby, continuous=False)[:, 0]
+        nearby = postures_from_coordinates(self.mean[0])
+        postures = postures_from_points(poses[:, None], nearby, continuous=False)[:, 0]
         error = coordinates_from_postures(postures) - self.mean
-        error[:, TURNING] -= TURN * np.round(error[:, TURNING] / TURN)
-        inlier = gaussian_blocks(error, self.cholesky) - block_log_det(postures)
-        # ∂(a, b)/∂(θ3, θ4) has determinant θ4.
-        inlier[:, 1:] += _log_magnitude(postures[:, [9, 15]])
-        return combine(inlier, fault_log_prob(positions, self.points), log_allowed(self.allowance, positions))
+        error[..., TURNING] -= TURN * np.round(error[..., TURNING] / TURN)
+        log_volume = -block_log_det(postures)
+        log_volume[:, 1:] += _log_magnitude(postures[:, [9, 15]])  # ∂(a, b)/∂(θ3, θ4) has determinant θ4
+        return error, log_volume
 
 
-def block_log_det(postures: Float[np.ndarray, "T 18"]) -> Blocks:
+def block_log_det(postures: Float[np.ndarray, "T 18"]) -> Float[np.ndarray, "T 3"]:
     """(T, 3) log |∂ points / ∂ posture| of each block: shoulders, left arm, right arm.
 
     Their sum is kinecast.body.posture.log_det_jacobian; sines and cosines are kept off zero.

@@ -26,7 +26,7 @@ from kinecast.geometry.regions import Regions
 from kinecast.geometry.scene_file import NO_GOAL
 from kinecast.prediction.observation import Observation
 
-__all__ = ["HANDS", "PATH", "WRISTS", "Pursuit", "goal_probabilities", "pursue"]
+__all__ = ["HANDS", "PATH", "WRISTS", "GoalMixture", "goal_mixture", "goal_probabilities"]
 
 HANDS = ("left", "right")
 WRISTS = [ARM_JOINTS.index(f"{hand}_wrist") for hand in HANDS]
@@ -63,7 +63,7 @@ Path = Float[np.ndarray, "K 2 3"]
 
 
 @dataclass(frozen=True)
-class Pursuit:
+class GoalMixture:
     """The mixture over goals, in the coordinates z of a Gaussian mean + factor · z.
 
     Attributes:
@@ -126,14 +126,14 @@ def goal_probabilities(
     return (1.0 - CHANGE) * odds / odds.sum(axis=1, keepdims=True) + CHANGE / odds.shape[1]
 
 
-def pursue(
+def goal_mixture(
     regions: Regions,
     observation: Observation,
     path: Path,
     mean: Float[np.ndarray, "T 6 3"],
     factor: Float[np.ndarray, "T 6 3 R"],
     scales: tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]],
-) -> Pursuit:
+) -> GoalMixture:
     """The mixture over goals around a base forecast.
 
     Args:
@@ -180,7 +180,7 @@ def pursue(
         spaces[3], triangle = _space(both, gram)
         together = np.concatenate([missing[0][left[own] - 1], missing[1][right[own] - 1]], axis=1)
         shifts[:, own] = spaces[3] @ (together @ triangle).T
-    return Pursuit(goals, weights / weights.sum(), shifts / (1.0 + DOUBT), spaces, kind)
+    return GoalMixture(goals, weights / weights.sum(), shifts / (1.0 + DOUBT), spaces, kind)
 
 
 def _space(

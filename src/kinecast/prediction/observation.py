@@ -13,8 +13,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from kinecast.body.placement import moved
+from kinecast.body.posture import postures_from_points
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.geometry.regions import Regions
 from kinecast.geometry.scene import Scene
 
 __all__ = ["Observation", "TrainingWindows", "reference_frame"]
@@ -52,6 +53,7 @@ class Observation:
         dt: time between frames [s].
         stamp: time of the last frame [s]; moving obstacles need it.
         noise: (6,) spread of each joint along each axis beyond that of the training data [m].
+        goals: regions that hands may head for; None for none.
     """
 
     positions: Float[np.ndarray, "N 6 3"]
@@ -59,6 +61,7 @@ class Observation:
     dt: float
     stamp: float = 0.0
     noise: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
+    goals: Regions | None = None
 
     def times(self, steps: int) -> Float[np.ndarray, " T"]:
         """(T,) the predicted instants [s]."""
@@ -74,15 +77,20 @@ class Observation:
         """(N, 6, 3) the window in the torso frame [m]."""
         return self.to_torso(self.positions)
 
+    @cached_property
+    def posture(self) -> Float[np.ndarray, "18"]:
+        """(18,) posture of the last frame, continuous through the window (kinecast.body.posture)."""
+        return postures_from_points(self.points, continuous=True)[-1]
+
     def to_torso(self, positions: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
         """World positions [m] in the torso frame."""
         rotation, origin = self.frame
-        return moved(positions - origin, rotation.T, np.zeros(3))
+        return (positions - origin) @ rotation
 
     def to_world(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
         """Torso-frame points [m] in the world."""
         rotation, origin = self.frame
-        return moved(points, rotation, origin)
+        return points @ rotation.T + origin
 
 
 @dataclass(frozen=True)

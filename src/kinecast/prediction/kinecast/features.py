@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
-__all__ = ["ArmViews", "FeatureScale", "arm_views", "time_basis", "yaw_frame"]
+__all__ = ["ArmViews", "FeatureScale", "WindowMotion", "arm_views", "lengths", "time_basis", "yaw_frame"]
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 LEAST_STEP = 0.004
@@ -35,12 +33,14 @@ def time_basis(steps: int) -> Float[np.ndarray, "T K"]:
 
 def yaw_frame(pose: Float[np.ndarray, "*b 6 3"]) -> Float[np.ndarray, "*b 3 3"]:
     """Rotation with z up and y along the shoulder line's horizontal direction, from right to left (columns x, y, z)."""
-    line = (pose[..., 0, :] - pose[..., 3, :]) * [1.0, 1.0, 0.0]
-    length = np.linalg.norm(line, axis=-1, keepdims=True)
-    y = np.where(length > 1e-6, line / np.maximum(length, 1e-6), [0.0, 1.0, 0.0])
-    frame = np.zeros((*y.shape, 3))
-    frame[..., 0, 0], frame[..., 1, 0] = y[..., 1], -y[..., 0]
-    frame[..., 1] = y
+    x, y = pose[..., 0, 0] - pose[..., 3, 0], pose[..., 0, 1] - pose[..., 3, 1]
+    length = np.hypot(x, y)
+    clear = length > 1e-6
+    length = np.where(clear, length, 1.0)
+    frame = np.zeros((*length.shape, 3, 3))
+    frame[..., 0, 1] = x / length * clear
+    frame[..., 1, 1] = np.where(clear, y / length, 1.0)
+    frame[..., 0, 0], frame[..., 1, 0] = frame[..., 1, 1], -frame[..., 0, 1]
     frame[..., 2, 2] = 1.0
     return frame
 
@@ -65,10 +65,10 @@ class ArmViews:
     rotation: Float[np.ndarray, "W 3 3"]
     last: Float[np.ndarray, "W 6 3"]
 
-    def to_world(self, displacement: Float[np.ndarray, "V T 3 3"]) -> Float[np.ndarray, "W T 6 3"]:
+    def to_world(self, displacement: Float[np.ndarray, "E V T 3 3"]) -> Float[np.ndarray, "E W T 6 3"]:
         """Displacements of an arm's three joints [m], arm by arm, as positions of all six in the world."""
-        left, right = np.split(displacement, 2)
-        both = np.concatenate([left, right * MIRROR], axis=2)
+        left, right = displacement[:, : len(self.last)], displacement[:, len(self.last) :]
+        both = np.concatenate([left, right * MIRROR], axis=3)
         return both @ self.rotation.transpose(0, 2, 1)[:, None] + self.last[:, None]
 
     def to_arms(self, positions: Float[np.ndarray, "W T 6 3"]) -> Float[np.ndarray, "V T 3 3"]:
@@ -79,51 +79,58 @@ class ArmViews:
 
 def arm_views(windows: Float[np.ndarray, "W N 6 3"]) -> ArmViews:
     """Both arms' views of windows in the world [m], N ≥ 4."""
-    last = np.ascontiguousarray(windows[:, -1])
+    last = windows[:, -1]
     rotation = yaw_frame(last)
-    steps, pose, level, amplitude = _views(windows, rotation)
-    return ArmViews(steps, pose, level, amplitude, rotation, last)
+    both = np.concatenate(
+        [np.diff(windows, axis=1), last[:, None] - last[:, None, [0, 3]].mean(axis=2, keepdims=True)], 1
+    )
+    own = both @ rotation[:, None]
+    own = np.concatenate([own, own[:, :, [3, 4, 5, 0, 1, 2]] * MIRROR])
+    steps, pose = own[:, :-1].reshape(len(own), -1, 18), own[:, -1].reshape(len(own), 18)
+    jerk = np.diff(steps, n=2, axis=1)
+    amplitude = np.sqrt((steps**2).sum(axis=(1, 2)) / steps.shape[1] + LEAST_STEP**2)
+    jitter = np.sqrt((jerk**2).sum(axis=(1, 2)) / jerk.shape[1] + 1e-8)
+    level = np.log(np.stack([amplitude, jitter / amplitude], axis=1))
+    return ArmViews((steps / amplitude[:, None, None]).reshape(len(own), -1), pose, level, amplitude, rotation, last)
 
 
-@njit(cache=True)
-@no_type_check
-def _views(
-    windows: Float[np.ndarray, "W N 6 3"], rotation: Float[np.ndarray, "W 3 3"]
-) -> tuple[Float[np.ndarray, "V F"], Float[np.ndarray, "V 18"], Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
-    """Steps, pose, level and amplitude of `ArmViews`."""
-    count, frames = windows.shape[:2]
-    steps = np.empty((2 * count, (frames - 1) * 18))
-    pose, level, amplitude = np.empty((2 * count, 18)), np.empty((2 * count, 2)), np.empty(2 * count)
-    for w in range(count):
-        R, last = rotation[w], windows[w, frames - 1]
-        for joint in range(6):
-            other = 3 * (1 - joint // 3) + joint % 3
-            for d in range(3):
-                side = -1.0 if d == 1 else 1.0
-                value = 0.0
-                for axis in range(3):
-                    value += (last[joint, axis] - 0.5 * (last[0, axis] + last[3, axis])) * R[axis, d]
-                pose[w, 3 * joint + d] = value
-                pose[count + w, 3 * other + d] = side * value
-                for frame in range(frames - 1):
-                    value = 0.0
-                    for axis in range(3):
-                        value += (windows[w, frame + 1, joint, axis] - windows[w, frame, joint, axis]) * R[axis, d]
-                    steps[w, 18 * frame + 3 * joint + d] = value
-                    steps[count + w, 18 * frame + 3 * other + d] = side * value
-        for view in (w, count + w):
-            own = steps[view]
-            square = jerk = 0.0
-            for k in range(len(own)):
-                square += own[k] * own[k]
-            for k in range(len(own) - 36):
-                jerk += (own[k + 36] - 2.0 * own[k + 18] + own[k]) ** 2
-            size = math.sqrt(square / (frames - 1) + LEAST_STEP**2)
-            amplitude[view] = size
-            level[view, 0] = math.log(size)
-            level[view, 1] = math.log(math.sqrt(jerk / (frames - 3) + 1e-8) / size)
-            own /= size
-    return steps, pose, level, amplitude
+@dataclass(frozen=True)
+class WindowMotion:
+    """How the joints moved in a window.
+
+    Attributes:
+        speed: (6,) mean length of a step [m per frame].
+        own: (6,) root mean square step [m per frame].
+        change: (6,) between the last step and the last but two [m per frame].
+        shared: root mean square step of all joints [m per frame].
+        jitter: root mean square third difference of all joints [m per frame].
+    """
+
+    speed: Float[np.ndarray, "6"]
+    own: Float[np.ndarray, "6"]
+    change: Float[np.ndarray, "6"]
+    shared: float
+    jitter: float
+
+    @staticmethod
+    def of(window: Float[np.ndarray, "N 6 3"]) -> WindowMotion:
+        """The motion of one window [m], N ≥ 4."""
+        steps = window[1:] - window[:-1]
+        square = np.einsum("njd,njd->nj", steps, steps)
+        mean = square.sum(axis=0) / len(steps)
+        jerk = (steps[2:] - 2.0 * steps[1:-1] + steps[:-2]).ravel()
+        return WindowMotion(
+            np.sqrt(square).sum(axis=0) / len(steps),
+            np.sqrt(mean + 1e-6),
+            lengths(steps[-1] - steps[-3]),
+            math.sqrt(mean.sum() / 6.0 + 1e-6),
+            math.sqrt(3.0 * float(jerk @ jerk) / len(jerk) + 1e-8),
+        )
+
+
+def lengths(vectors: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b"]:
+    """Euclidean norms; quicker than NumPy's own for arrays so small."""
+    return np.sqrt(np.einsum("...d,...d->...", vectors, vectors))
 
 
 @dataclass(frozen=True)
@@ -155,9 +162,16 @@ class FeatureScale:
 
     def features(self, views: ArmViews) -> Float[np.ndarray, "V D"]:
         """(V, D) steps, then pose, then levels; poses and levels never seen in training are held at the edge."""
-        pose = np.clip((views.pose - self.pose_mean) / self.pose_spread, -3.0, 3.0)
-        level = np.clip((views.level - self.level_mean) / self.level_spread, -2.5, 2.5)
-        return np.concatenate([views.steps / self.steps, pose, level], axis=1)
+        size = views.steps.shape[1]
+        features = np.empty((len(views.steps), size + 20))
+        np.divide(views.steps, self.steps, out=features[:, :size])
+        pose, level = (
+            (views.pose - self.pose_mean) / self.pose_spread,
+            (views.level - self.level_mean) / self.level_spread,
+        )
+        np.minimum(np.maximum(pose, -3.0), 3.0, out=features[:, size : size + 18])
+        np.minimum(np.maximum(level, -2.5), 2.5, out=features[:, size + 18 :])
+        return features
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""

@@ -1,8 +1,8 @@
-"""Training of the horizon model: experts, then the gate and the spread on recordings the experts did not see."""
+"""Training of `kinecast`: experts, then the gate and the error model on recordings the experts did not see."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,27 +10,23 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.body.limits import JointLimits
-from kinecast.prediction.kinecast.actions import Actions
-from kinecast.prediction.kinecast.expert_training import fit_network, fit_radial_basis
+from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel, fit_error_model
+from kinecast.prediction.kinecast.experts import Network, RadialBasis, fit_network, fit_radial_basis, forecasts
 from kinecast.prediction.kinecast.features import yaw_frame
-from kinecast.prediction.kinecast.gate import Gate
-from kinecast.prediction.kinecast.gate_training import fit_gate
-from kinecast.prediction.kinecast.learned import Network, RadialBasis
-from kinecast.prediction.kinecast.method import LONGEST_PAUSE, Horizon, Means, Mixture
-from kinecast.prediction.kinecast.spread import SIDES, Spread
-from kinecast.prediction.kinecast.spread_training import fit_spread
+from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, Mixture, MixtureOutput
+from kinecast.prediction.kinecast.weights import Gate, fit_gate
 from kinecast.prediction.observation import TrainingWindows
-from kinecast.tasks.workers import Progress, Serial, Workers, generator, given
+from kinecast.tasks.workers import Workers, generator
 
-__all__ = ["HorizonOptions", "fit_actions", "fitting_horizon"]
+__all__ = ["KinecastOptions", "fitting_kinecast"]
 
 Rows = Int[np.ndarray, " R"]
 Examples = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
-class HorizonOptions:
-    """How the horizon model is trained.
+class KinecastOptions:
+    """How the method is trained.
 
     Attributes:
         pseudo_inputs: M of the radial basis experts.
@@ -49,13 +45,13 @@ class HorizonOptions:
     seed: int = 0
 
 
-def fitting_horizon(
+def fitting_kinecast(
     workers: Workers,
     windows: TrainingWindows,
     data: Any,
     limits: JointLimits | None,
     noise: float,
-    options: HorizonOptions,
+    options: KinecastOptions,
 ) -> Any:
     """Trains the method `kinecast`.
 
@@ -66,7 +62,7 @@ def fitting_horizon(
         data: stands for the same windows.
         limits: of the arm's angles; None for none.
         noise: spread of a measured joint about the true one [m].
-        options: see HorizonOptions.
+        options: see KinecastOptions.
 
     Returns:
         What stands for the method.
@@ -84,37 +80,14 @@ def fitting_horizon(
             held.append((mixture, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
     examples = [workers.submit(_gate_examples, *each, data, options.seed) for each in held]
     gate = workers.submit(_gate, examples, options.seed)
-    errors = [workers.submit(_spread_examples, mixture, rows, data, gate) for mixture, rows, _ in held]
-    spread = workers.submit(_spread, errors)
+    errors = [workers.submit(_error_examples, mixture, rows, data, gate) for mixture, rows, _ in held]
+    spread = workers.submit(_error_model, errors)
     final = _fitting_experts(workers, data, np.arange(len(windows)), options, options.networks)
     mixture = workers.submit(Mixture, final, gate, frames, steps)
-    return workers.submit(Horizon, mixture, spread, dt, noise, limits)
+    return workers.submit(Kinecast, mixture, spread, dt, noise, limits)
 
 
-def fit_actions(
-    windows: Mapping[str, TrainingWindows],
-    options: HorizonOptions,
-    progress: Progress | None = None,
-    workers: Workers | None = None,
-) -> Actions:
-    """Trains experts for each action on its windows alone.
-
-    Args:
-        windows: of each action, by its name.
-        options: see HorizonOptions; folds do not matter.
-        progress: called with (done, total) tasks.
-        workers: that do them; None for this process.
-    """
-    workers = workers or Serial()
-    fits = [
-        _fitting_experts(workers, workers.submit(given, own), np.arange(len(own)), options, 1)
-        for own in windows.values()
-    ]
-    found = iter(workers.results([expert for experts in fits for expert in experts], progress))
-    return Actions(tuple(windows), tuple(tuple(next(found) for _ in experts) for experts in fits))
-
-
-def _fitting_experts(workers: Workers, data: Any, rows: Rows, options: HorizonOptions, networks: int) -> list[Any]:
+def _fitting_experts(workers: Workers, data: Any, rows: Rows, options: KinecastOptions, networks: int) -> list[Any]:
     """A radial basis, another on noisy inputs for poor sensors, and the mean of networks; stand for the experts."""
     seeds = range(options.seed, options.seed + networks)
     fitted = [workers.submit(_network, data, rows, options.network_steps, seed) for seed in seeds]
@@ -129,11 +102,11 @@ def _network(data: TrainingWindows, rows: Rows, steps: int, seed: int) -> Networ
     return fit_network(data.observed[rows], data.future[rows], steps, seed)
 
 
-def _radial_basis(data: TrainingWindows, rows: Rows, options: HorizonOptions) -> RadialBasis:
+def _radial_basis(data: TrainingWindows, rows: Rows, options: KinecastOptions) -> RadialBasis:
     return fit_radial_basis(data.observed[rows], data.future[rows], options.pseudo_inputs, options.seed)
 
 
-def _noisy_radial_basis(data: TrainingWindows, rows: Rows, options: HorizonOptions) -> RadialBasis:
+def _noisy_radial_basis(data: TrainingWindows, rows: Rows, options: KinecastOptions) -> RadialBasis:
     windows = data.take(rows)
     noisy = _with_noise(windows, np.random.default_rng([options.seed, 1]), options.noise)
     return fit_radial_basis(
@@ -165,13 +138,13 @@ def _gate_examples(mixture: Mixture, rows: Rows, place: tuple[int, int], data: T
     part = data.take(rows)
     errors, looks, forecasts, futures = [], [], [], []
     for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
-        for row, means, _ in _followed(mixture, each):
+        for row, output, _ in _followed(mixture, each):
             if row % 4:
                 continue
             last = each.observed[row, -1]
-            errors.append(means.inputs.errors)
-            looks.append(means.inputs.window)
-            forecasts.append((means.forecasts - last).astype(np.float32))
+            errors.append(output.inputs.errors)
+            looks.append(output.inputs.window)
+            forecasts.append((output.forecasts - last).astype(np.float32))
             futures.append(each.future[row] - last)
     return np.stack(errors), np.stack(looks), np.stack(forecasts), np.stack(futures)
 
@@ -193,36 +166,42 @@ def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> Trai
     return replace(windows, observed=windows.observed + noise[seen], future=windows.future + noise[ahead])
 
 
-def _spread_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
-    """Errors of the mixture on a recording in each arm's own axes, features of the spread, speeds of the joints.
+def _error_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
+    """Errors of the mixture on a recording in each arm's own axes, features of the error model, speeds of the joints.
 
     Returns:
-        (B, T, 6, 3), (B, 6, F), (B, 6) as `fit_spread` takes them.
+        (B, T, 6, 3), (B, 6, F), (B, 6) as `fit_error_model` takes them.
     """
     errors, features, speeds = [], [], []
     part = data.take(rows)
-    for row, means, window in _followed(replace(mixture, gate=gate), part):
-        own = (part.future[row] - means.mean) @ yaw_frame(window[-1])
+    for row, output, window in _followed(replace(mixture, gate=gate), part):
+        own = (part.future[row] - output.mean) @ yaw_frame(window[-1])
         errors.append(np.einsum("tjd,jde->tje", own, SIDES))
-        features.append(means.features)
-        speeds.append(np.linalg.norm(np.diff(window, axis=0), axis=-1).mean(axis=0))
+        features.append(output.features)
+        speeds.append(output.motion.speed)
     return np.stack(errors), np.stack(features), np.stack(speeds)
 
 
-def _spread(examples: Sequence[Examples]) -> Spread:
+def _error_model(examples: Sequence[Examples]) -> ErrorModel:
     errors, features, speeds = map(np.concatenate, zip(*examples, strict=True))
-    return fit_spread(errors, features, speeds)
+    return fit_error_model(errors, features, speeds)
 
 
-def _followed(mixture: Mixture, windows: TrainingWindows) -> Iterator[tuple[int, Means, Float[np.ndarray, "N 6 3"]]]:
-    """One recording frame by frame, as online: row, mixture, window."""
-    made = mixture.forecasts(windows.observed)
-    memory = mixture.memory()
+def _followed(
+    mixture: Mixture, windows: TrainingWindows
+) -> Iterator[tuple[int, MixtureOutput, Float[np.ndarray, "N 6 3"]]]:
+    """One recording frame by frame, as online: row, what the mixture says, window."""
+    made = forecasts(mixture.experts, windows.observed, mixture.steps)
+    errors = mixture.rolling_errors()
+    nothing = np.full((6, 3), np.nan)
     before = None
     for row, frame in enumerate(windows.frame):
         pause = 0 if before is None else int(frame - before) - 1
-        memory = mixture.memory() if pause > LONGEST_PAUSE else memory
-        memory.skip(pause if pause <= LONGEST_PAUSE else 0)
+        if pause > LONGEST_PAUSE:
+            errors, pause = mixture.rolling_errors(), 0
+        for _ in range(pause):
+            errors.observe(nothing)
+            errors.predicted(None)
         window = windows.observed[row]
-        yield row, mixture.follow(memory, window, window[-1], made[row]), window
+        yield row, mixture.update(errors, window, window[-1], made[row]), window
         before = frame

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import log_ndtr, logsumexp, ndtr
 
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import ANGLES, postures_from_points
@@ -16,7 +15,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 
-__all__ = ["Allowance"]
+__all__ = ["ConstraintFactor"]
 
 LEAST = 1e-12
 """Least probability of being allowed: keeps logarithms finite."""
@@ -25,7 +24,7 @@ STRAIGHT = np.radians(2.0)
 
 
 @dataclass(frozen=True)
-class Allowance:
+class ConstraintFactor:
     """Constraints on the pose at each step, for densities.
 
     A pose is allowed at step t where every arm angle lies in its range and can be reached from the last observed
@@ -35,25 +34,29 @@ class Allowance:
     Attributes:
         draws: gives (S, T, 6, 3) draws of the unconstrained density, torso frame [m]; called once, when needed.
         observation: the window; places the torso frame in the world.
-        initial: (18,) last observed posture.
         limits: range and speed of the angles; None for none.
-        scene: obstacles; None for none.
         noise: spread of a measured joint about the true one [m]; 0 makes every edge sharp.
+        scene: obstacles; None for none.
     """
 
     draws: Callable[[], Float[np.ndarray, "S T 6 3"]]
     observation: Observation
-    initial: Float[np.ndarray, "18"]
     limits: JointLimits | None
-    scene: Scene | None
     noise: float
+    scene: Scene | None = None
 
     @cached_property
     def log_total(self) -> Float[np.ndarray, " T"]:
         """(T,) log P(allowed) = log ∫ f(x) P(allowed | x) dx, the mean over draws; at least half a draw's share."""
         points = self.draws()
-        share = logsumexp(self.log_given(points), axis=0) - np.log(len(points))
+        share = np.logaddexp.reduce(self.log_given(points), axis=0) - np.log(len(points))
         return np.asarray(np.maximum(share, -np.log(2.0 * len(points))))
+
+    def log_factor(self, poses: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+        """(T,) log [P(allowed | x) / P(allowed)]."""
+        if self.limits is None and self.scene is None:
+            return np.zeros(len(poses))
+        return self.log_given(poses) - self.log_total
 
     def log_given(self, poses: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T"]:
         """(…, T) log P(the true pose is allowed | it was measured here); poses in the torso frame [m]."""
@@ -62,6 +65,8 @@ class Allowance:
             times = self.observation.times(poses.shape[-3])
             clearance = self.scene.clearance(self.observation.to_world(poses), times)
             if self.noise > 0:
+                from scipy.special import log_ndtr  # here, since predicting does without and it is slow to import
+
                 log_p += log_ndtr(clearance / self.noise)
             else:
                 log_p += np.where(clearance >= 0, 0.0, -np.inf)
@@ -73,12 +78,14 @@ class Allowance:
         """(T, 8) lower and upper ends of the angles after 1 … T steps; never empty."""
         assert self.limits is not None
         lower, upper, speed = (values[list(ANGLES)] for values in self.limits.of_posture())
-        last = self.initial[list(ANGLES)]
+        last = self.observation.posture[list(ANGLES)]
         reach = speed * self.observation.dt * np.arange(1, steps + 1)[:, None]
         return np.maximum(np.minimum(lower, last), last - reach), np.minimum(np.maximum(upper, last), last + reach)
 
     def _log_inside(self, poses: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T"]:
-        start = np.broadcast_to(self.initial, (*poses.shape[:-3], 18))
+        from scipy.special import ndtr
+
+        start = np.broadcast_to(self.observation.posture, (*poses.shape[:-3], 18))
         postures = postures_from_points(poses, start, continuous=False)
         lower, upper = self._boxes(poses.shape[-3])
         log_p = np.zeros(poses.shape[:-2])

@@ -1,0 +1,342 @@
+"""`kinecast`: the project's own predictor. Positions are predicted, angles constrained.
+
+Experts, trivial and learned, forecast all steps at once; a gate mixes them by what each one got wrong lately on the
+person in view; where learning does not help, the trivial ones take over (mean). The spread around that mean depends on
+the window and on how well things went lately. Samples are whole motions drawn from it and held inside joint limits and
+speeds by the exact inverse kinematics.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.body.limits import JointLimits
+from kinecast.prediction.constraint import ConstraintFactor
+from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
+from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
+from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
+from kinecast.prediction.kinecast.experts import TRIVIAL, Expert, Network, expert_from_arrays, forecasts
+from kinecast.prediction.kinecast.features import WindowMotion, yaw_frame
+from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
+from kinecast.prediction.kinecast.weights import Gate, GateInputs, fallback_weights, gate_inputs, rolling_errors
+from kinecast.prediction.method import Forecast
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.sampling import sample_motions
+
+__all__ = ["LONGEST_PAUSE", "Kinecast", "Mixture", "MixtureOutput", "State", "ablations", "kinecast_from_arrays"]
+
+LONGEST_PAUSE = 20
+"""After a longer gap [frames] nothing of the person is remembered."""
+RECENT_LEADS = [1, 3]
+"""Of the leads of the rolling errors, those by which the spread goes."""
+FLOOR = 5e-4
+"""Least spread of a joint [m], for directions that the low-rank factor leaves out."""
+
+
+@dataclass(frozen=True)
+class MixtureOutput:
+    """The mixture's mean and what it came from.
+
+    Attributes:
+        mean: (T, 6, 3) world [m].
+        forecasts: (E, T, 6, 3) of each expert, world [m].
+        inputs: of the gate.
+        features: (6, F) of the error model.
+        motion: of the window.
+        learned: weight of the learned experts in the mean, averaged over steps and joints.
+    """
+
+    mean: Float[np.ndarray, "T 6 3"]
+    forecasts: Float[np.ndarray, "E T 6 3"]
+    inputs: GateInputs
+    features: Float[np.ndarray, "6 F"]
+    motion: WindowMotion
+    learned: float
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Experts, gate and fallback weights: the mean.
+
+    Attributes:
+        experts: the learned ones.
+        gate: None while it is being trained; experts then count alike.
+        frames, steps: N and T.
+        falls_back: whether the trivial experts may take over.
+    """
+
+    experts: Sequence[Expert]
+    gate: Gate | None
+    frames: int
+    steps: int
+    falls_back: bool = True
+
+    def rolling_errors(self) -> RollingForecastErrors:
+        """Nothing remembered yet of a person."""
+        return rolling_errors(TRIVIAL + len(self.experts), self.steps)
+
+    def update(
+        self,
+        errors: RollingForecastErrors,
+        window: Float[np.ndarray, "N 6 3"],
+        measured: Float[np.ndarray, "6 3"],
+        made: Float[np.ndarray, "E T 6 3"] | None = None,
+    ) -> MixtureOutput:
+        """Learns from the newest frame how the experts did, and mixes them anew.
+
+        Args:
+            errors: of this person; changed.
+            window: (N, 6, 3) repaired window, world [m].
+            measured: (6, 3) the newest frame as measured [m], NaN where it was not.
+            made: forecasts of the experts, where they are known already.
+        """
+        errors.observe(measured)
+        due = errors.mean()
+        if made is None:
+            made = forecasts(self.experts, window[None], self.steps)[0]
+        motion = WindowMotion.of(window)
+        inputs = gate_inputs(due, motion, made)
+        if self.gate is None:
+            weights = np.full((len(made), self.steps, 6), 1.0 / len(made))
+        else:
+            weights = self.gate.weights(inputs, self.steps)
+        mixed = (weights[..., None] * made).sum(axis=0)
+        mean, trust = mixed, np.ones(6)
+        if self.falls_back:
+            shares = fallback_weights(due, errors.frames)
+            trust = shares[0]
+            mean = trust[:, None] * mixed + (shares[1:, None, :, None] * made[:TRIVIAL]).sum(axis=0)
+        features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
+        errors.predicted(np.concatenate([made, mixed[None], mean[None]]))
+        learned = float((trust * weights[TRIVIAL:].sum(axis=0).mean(axis=0)).mean())
+        return MixtureOutput(mean, made, inputs, features, motion, learned)
+
+
+@dataclass
+class State:
+    """What is remembered of one person, and what is predicted from the newest frame on.
+
+    Attributes:
+        errors: of past forecasts.
+        adaptive: how the spread has had to grow; None where it does not follow the person.
+        output: the newest mean; None before the first frame.
+        scale: (T, 6) of the newest error, without the adaptive factor.
+        stamp: of the newest frame [s].
+        path: where the wrists were, the newest last [m].
+    """
+
+    errors: RollingForecastErrors
+    adaptive: AdaptiveScale | None
+    output: MixtureOutput | None = None
+    scale: Float[np.ndarray, "T 6"] | None = None
+    stamp: float = -np.inf
+    path: deque[Float[np.ndarray, "2 3"]] = field(default_factory=deque)
+
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        for _ in range(frames):
+            self.errors.observe(np.full((6, 3), np.nan))
+            self.errors.predicted(None)
+            if self.adaptive is not None:
+                self.adaptive.skip()
+
+
+@dataclass(frozen=True)
+class Kinecast:
+    """The method `kinecast`.
+
+    Attributes:
+        mixture: the mean.
+        error_model: around it.
+        dt: time between frames [s].
+        noise: spread of a measured joint about the true one in training [m].
+        limits: range and speed of the arm's angles; None for none.
+        adaptive: whether the spread follows the person in view.
+        remembers: whether anything does; without it every window is a stranger's.
+    """
+
+    mixture: Mixture
+    error_model: ErrorModel
+    dt: float
+    noise: float
+    limits: JointLimits | None = field(default_factory=JointLimits)
+    adaptive: bool = True
+    remembers: bool = True
+
+    @property
+    def frames(self) -> int:
+        """N, length of the observation window."""
+        return self.mixture.frames
+
+    @property
+    def steps(self) -> int:
+        """T, number of predicted steps."""
+        return self.mixture.steps
+
+    def init_state(self) -> State:
+        """See kinecast.prediction.method.Method."""
+        adaptive = AdaptiveScale(self.error_model, self.steps) if self.adaptive else None
+        return State(self.mixture.rolling_errors(), adaptive)
+
+    def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
+        """See kinecast.prediction.method.Method."""
+        pause = round((observation.stamp - state.stamp) / self.dt) - 1 if np.isfinite(state.stamp) else 0
+        if not self.remembers or not 0 <= pause <= LONGEST_PAUSE:
+            state = self.init_state()
+        else:
+            state.skip(pause)
+        if state.adaptive is not None:
+            state.adaptive.observe(measured)
+        window = observation.positions
+        output = self.mixture.update(state.errors, window, measured)
+        scale = self.error_model.scale(output.features, output.motion.speed)
+        if state.adaptive is not None:
+            state.adaptive.predicted(output.mean, scale, yaw_frame(window[-1]))
+        state.path.extend(window[-1 if state.path else 0 :, WRISTS])
+        while len(state.path) > PATH / self.dt + 1:
+            state.path.popleft()
+        state.output, state.scale, state.stamp = output, scale, observation.stamp
+        return state
+
+    def forecast(self, state: State, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
+        """See kinecast.prediction.method.Method."""
+        if state.output is None or state.scale is None:
+            state = self.update(state, observation, observation.positions[-1])
+            return self.forecast(state, observation, rng, samples)
+        scale = state.scale if state.adaptive is None else state.scale * state.adaptive.factor[:, None]
+        rotation = observation.frame[0].T @ yaw_frame(observation.positions[-1])
+        factor = with_noise(self.error_model.factor_in(scale, rotation), observation.noise)
+        mean = observation.to_torso(state.output.mean)
+        draws = rng.standard_normal((factor.shape[-1], samples))
+        common = common_factors(self.error_model.weights, samples, rng)
+        goals = self._goals(observation, state, mean, factor)
+        if goals is None:
+            draws *= common
+        else:
+            draws *= rng.permutation(common)
+            goals.move(draws, rng)
+        motions = sample_motions(observation, mean, factor, draws, rng, self.limits)
+        constraint = None
+        if self.limits is not None:
+            constraint = ConstraintFactor(
+                lambda: mean + unconstrained(factor, draws), observation, self.limits, self.noise
+            )
+        return Forecast(
+            motions,
+            state.output.mean if goals is None else state.output.mean + goals.mean(factor) @ observation.frame[0].T,
+            PoseDensity(observation, mean, self._blocks(mean, factor, goals), constraint),
+            self.limits is not None,
+            {"learned_share": state.output.learned},
+            {} if goals is None else goals.goals,
+        )
+
+    def _goals(
+        self,
+        observation: Observation,
+        state: State,
+        mean: Float[np.ndarray, "T 6 3"],
+        factor: Float[np.ndarray, "T 6 3 R"],
+    ) -> GoalMixture | None:
+        """The mixture over the scene's goals; None where it has none."""
+        if observation.goals is None:
+            return None
+        scales = (SCALES, self.error_model.weights)
+        return goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
+
+    def _blocks(
+        self, mean: Float[np.ndarray, "T 6 3"], factor: Float[np.ndarray, "T 6 3 R"], goals: GoalMixture | None
+    ) -> GaussianMixture:
+        """The density behind the draws: a scale mixture about the mean, or about each goal's."""
+        centres, weights, kind, factors = mean[None], np.ones(1), np.zeros(1, dtype=int), factor[None]
+        if goals is not None:
+            kinds, kind = np.unique(goals.kind, return_inverse=True)
+            factors = np.stack([goals.factor(factor, each) for each in kinds.tolist()])
+            centres, weights = mean + np.moveaxis(factor @ goals.shifts, -1, 0), goals.weights
+        return GaussianMixture(
+            centres[:, :, JOINT_ORDER].reshape(*centres.shape[:2], 18),
+            factors[:, :, JOINT_ORDER].reshape(*factors.shape[:2], 18, -1),
+            weights, kind, SCALES, self.error_model.weights, floor=FLOOR,
+        )  # fmt: skip
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Plain arrays for a model file."""
+        assert self.mixture.gate is not None
+        parts = {"gate": self.mixture.gate.to_arrays(), "spread": self.error_model.to_arrays()}
+        parts |= {f"expert{k}": expert.to_arrays() for k, expert in enumerate(self.mixture.experts)}
+        return {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+
+
+def with_noise(factor: Float[np.ndarray, "T 6 3 R"], noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6 3 R2"]:
+    """The factor once the last frame's error, the same at every step, is added [m]."""
+    if not noise.any():
+        return factor
+    shared = np.diag(np.repeat(noise, 3)).reshape(6, 3, 18)
+    return np.concatenate([factor, np.broadcast_to(shared, (len(factor), *shared.shape))], axis=-1)
+
+
+def unconstrained(
+    factor: Float[np.ndarray, "T 6 3 R"], draws: Float[np.ndarray, "R S"]
+) -> Float[np.ndarray, "S T 6 3"]:
+    """How far each draw lies from the mean before any constraint [m]."""
+    return np.tensordot(draws, factor, axes=(0, 3))
+
+
+def common_factors(weights: Float[np.ndarray, " K"], samples: int, rng: np.random.Generator) -> Float[np.ndarray, " S"]:
+    """(S,) draws of the common factor: as near to its weights as S allows."""
+    places = (np.arange(samples) + rng.random()) / samples
+    return SCALES[np.minimum(np.searchsorted(np.cumsum(weights), places), len(SCALES) - 1)]
+
+
+def ablations(whole: Kinecast) -> dict[str, Kinecast]:
+    """The method without each of its stages in turn, by what is missing."""
+    mixture, errors = whole.mixture, whole.error_model
+    networks = {k for k, expert in enumerate(mixture.experts) if isinstance(expert, Network)}
+    others = set(range(len(mixture.experts))) - networks
+    return {
+        "no network": replace(whole, mixture=_without(mixture, networks)),
+        "no radial basis": replace(whole, mixture=_without(mixture, others)),
+        "no gate": replace(whole, mixture=replace(mixture, gate=None)),
+        "no fallback": replace(whole, mixture=replace(mixture, falls_back=False)),
+        "no memory": replace(whole, remembers=False),
+        "no adaptive spread": replace(whole, adaptive=False),
+        "no conformal correction": replace(
+            whole, error_model=replace(errors, conformal=np.ones_like(errors.conformal))
+        ),
+        "no limits, no scene": replace(whole, limits=None),
+    }
+
+
+def _without(mixture: Mixture, dropped: set[int]) -> Mixture:
+    """The mixture without some of its learned experts; the gate keeps what it learned of the others."""
+    experts = [expert for k, expert in enumerate(mixture.experts) if k not in dropped]
+    rows = [k for k in range(TRIVIAL + len(mixture.experts)) if k - TRIVIAL not in dropped]
+    gate = mixture.gate
+    if gate is not None:
+        gate = replace(gate, bias=gate.bias[rows], slope=gate.slope[rows])
+    return replace(mixture, experts=experts, gate=gate)
+
+
+def kinecast_from_arrays(
+    arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float, noise: float, limits: JointLimits | None
+) -> Kinecast:
+    """The method that `Kinecast.to_arrays` described.
+
+    Raises:
+        KeyError: an array is missing.
+        ValueError: shapes that do not fit.
+    """
+    parts: dict[str, dict[str, np.ndarray]] = {}
+    for name, array in arrays.items():
+        part, _, own = name.partition(".")
+        parts.setdefault(part, {})[own] = np.asarray(array, float)
+    experts = [expert_from_arrays(parts[f"expert{k}"]) for k in range(sum(name.startswith("expert") for name in parts))]
+    gate = Gate(**{f.name: parts["gate"][f.name] for f in fields(Gate)})
+    error_model = ErrorModel(**{f.name: parts["spread"][f.name] for f in fields(ErrorModel)})
+    if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != steps:
+        raise ValueError(f"{len(experts)} experts, {error_model.factor.shape[0]} steps")
+    return Kinecast(Mixture(experts, gate, frames, steps), error_model, dt, noise, limits)

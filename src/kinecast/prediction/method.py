@@ -1,0 +1,188 @@
+"""What every method of prediction offers, what it gives for one window, and where the scene rejects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar, no_type_check, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.density import PoseDensity
+from kinecast.prediction.observation import Observation
+from kinecast.types import Density
+
+__all__ = ["Forecast", "Memoryless", "Method", "forecast_in_scene", "joint_covariances"]
+
+State = TypeVar("State")
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A distribution over the motion of both arms, in the world.
+
+    Attributes:
+        samples: (S, T, 6, 3) equally likely motions [m].
+        mean: (T, 6, 3) expected positions [m].
+        density: the exact density at each step.
+        constrained: whether joint limits hold the samples; only then does the scene reject some of them.
+        diagnostics: what else the method says of itself, e.g. `learned_share`.
+        goals: per hand, the probability of each goal of the scene; empty where none were given.
+        accepted: (T,) share of motions that no obstacle had stopped by each step; None where nothing rejected any.
+        distinct: number of distinct motions among the samples; None for all of them.
+    """
+
+    samples: Float[np.ndarray, "S T 6 3"]
+    mean: Float[np.ndarray, "T 6 3"]
+    density: Density
+    constrained: bool = False
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+    goals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    accepted: Float[np.ndarray, " T"] | None = None
+    distinct: int | None = None
+
+    @property
+    def accepted_fraction(self) -> float:
+        """Share of drawn motions that the scene left."""
+        return 1.0 if self.accepted is None else float(self.accepted[-1])
+
+    @property
+    def effective_sample_size(self) -> int:
+        """Number of distinct motions; 0 where the scene left none, and the samples then disregard it."""
+        return len(self.samples) if self.distinct is None else self.distinct
+
+
+@runtime_checkable
+class Method(Protocol[State]):
+    """A trained predictor of both arms; what it remembers of a person is a state, which `update` changes."""
+
+    @property
+    def frames(self) -> int:
+        """N, length of the observation window."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """T, number of predicted steps."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Time between frames [s]."""
+        ...
+
+    def init_state(self) -> State:
+        """Nothing remembered yet of a person."""
+        ...
+
+    def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
+        """Takes in one frame, dt after the last one.
+
+        Args:
+            state: of this person; used up.
+            observation: the window that ends with this frame.
+            measured: (6, 3) the frame as measured [m], NaN where it was not.
+
+        Returns:
+            The state after this frame.
+        """
+        ...
+
+    def forecast(self, state: State, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
+        """The distribution over the next T steps.
+
+        Args:
+            state: of this person; one that has not been updated yet stands for a stranger.
+            observation: the window, N frames.
+            rng: source of randomness; equal states give equal forecasts.
+            samples: S, number of motions to draw.
+        """
+        ...
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Everything the method needs, as plain arrays."""
+        ...
+
+
+class Memoryless:
+    """Base of methods that remember nothing of a person: their state is None."""
+
+    def init_state(self) -> None:
+        """Nothing."""
+
+    def update(self, state: None, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> None:
+        """Nothing is remembered."""
+
+
+def forecast_in_scene(
+    method: Method[State],
+    state: State,
+    observation: Observation,
+    rng: np.random.Generator,
+    samples: int,
+    scene: Scene | None,
+) -> Forecast:
+    """A method's forecast, of which the scene rejects what enters an obstacle (Eq. 7).
+
+    A motion leaves the set at the step where a joint or limb enters an obstacle and does not come back. Those left are
+    drawn up to the same number again; the mean moves as theirs does.
+
+    Args:
+        method, state, observation, rng, samples: see `Method.forecast`.
+        scene: obstacles; None for none. Its goals are seen by the method.
+    """
+    if scene is None:
+        return method.forecast(state, observation, rng, samples)
+    if scene.goals:
+        observation = replace(observation, goals=scene.regions)
+    forecast = method.forecast(state, observation, rng, samples)
+    if not forecast.constrained:
+        return forecast
+    density = forecast.density
+    if isinstance(density, PoseDensity):
+        forecast = replace(forecast, density=density.within(scene))
+    drawn, steps = forecast.samples.shape[:2]
+    free = np.logical_and.accumulate(scene.free(forecast.samples, observation.times(steps)), axis=1)
+    survivors = np.flatnonzero(free[:, -1])
+    if len(survivors) == drawn:
+        return forecast
+    accepted = free.mean(axis=0)
+    if len(survivors) == 0:
+        return replace(forecast, accepted=accepted, distinct=0)
+    # Systematic resampling: every survivor is kept equally often, to within one.
+    offsets = (np.arange(drawn) + rng.random()) * len(survivors) / drawn
+    kept = forecast.samples[survivors[offsets.astype(int)]]
+    mean = forecast.mean + (kept.mean(axis=0) - forecast.samples.mean(axis=0))
+    return replace(forecast, samples=kept, mean=mean, accepted=accepted, distinct=len(survivors))
+
+
+@njit(cache=True)
+@no_type_check
+def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray, "T 6 3 3"]:
+    """(T, 6, 3, 3) covariance of each joint's position at each step [m^2]."""
+    draws, steps, joints, _ = samples.shape
+    means = np.zeros((steps, joints, 3))
+    for s in range(draws):
+        means += samples[s]
+    means /= draws
+    covariances = np.zeros((steps, joints, 3, 3))
+    for s in range(draws):
+        for t in range(steps):
+            for j in range(joints):
+                x = samples[s, t, j, 0] - means[t, j, 0]
+                y = samples[s, t, j, 1] - means[t, j, 1]
+                z = samples[s, t, j, 2] - means[t, j, 2]
+                c = covariances[t, j]
+                c[0, 0] += x * x
+                c[0, 1] += x * y
+                c[0, 2] += x * z
+                c[1, 1] += y * y
+                c[1, 2] += y * z
+                c[2, 2] += z * z
+    covariances /= draws
+    covariances[..., 1, 0], covariances[..., 2, 0] = covariances[..., 0, 1], covariances[..., 0, 2]
+    covariances[..., 2, 1] = covariances[..., 1, 2]
+    return covariances

@@ -1,0 +1,292 @@
+"""The one constrained sampler: correlated draws → poses → joint angles → Eq. 4's bounds, step by step → positions.
+
+Nearly every pose lies inside its bounds. So the angles of all poses are found at once, by array operations; one
+compiled loop then goes through the steps, and takes by itself only the poses that leave their bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float, Float32
+from numba import njit
+
+from kinecast.body.arm_angles import nearest_turn
+from kinecast.body.limits import JointLimits, bounds
+from kinecast.body.posture import ANGLES, LENGTHS, postures_from_points
+from kinecast.prediction.noise import angle_noise
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.truncated_normal import sample
+
+__all__ = ["sample_motions"]
+
+BLOCK = 104
+"""Samples side by side. Known to the compiler, it makes vector instructions of loops over them (eight at a time), and a
+product of this size stays in the calling thread: OpenBLAS' other threads would wait for a busy core."""
+
+
+def sample_motions(
+    observation: Observation,
+    mean: Float[np.ndarray, "T 6 3"],
+    factor: Float[np.ndarray, "T 6 3 R"],
+    draws: Float[np.ndarray, "R S"],
+    rng: np.random.Generator,
+    limits: JointLimits | None,
+) -> Float[np.ndarray, "S T 6 3"]:
+    """Motions mean + factor · draw, every step within Eq. 4's bounds of the one before.
+
+    Each pose is taken to the posture by the exact inverse kinematics. An angle outside its bounds given the step before
+    is drawn anew from the truncated normal about the mean motion's angle (Eq. 2); the pose then comes back by forward
+    kinematics. A pose inside is kept as it is.
+
+    Args:
+        observation: the window; its last pose is the step before the first.
+        mean: (T, 6, 3) in the torso frame [m].
+        factor: (T, 6, 3, R) of the covariance [m].
+        draws: (R, S) of the factor's coordinates.
+        rng: for what is drawn anew.
+        limits: of the arm's angles; None leaves every motion as it is.
+
+    Returns:
+        (S, T, 6, 3) positions in the world [m].
+    """
+    steps, samples = len(mean), draws.shape[1]
+    blocks = -(-samples // BLOCK)
+    drawn = np.zeros((blocks, len(draws), BLOCK))
+    for b in range(blocks):
+        part = draws[:, b * BLOCK : (b + 1) * BLOCK]
+        drawn[b, :, : part.shape[1]] = part
+    poses = factor.reshape(steps, 1, 18, -1) @ drawn
+    poses += mean.reshape(steps, 1, 18, 1)
+    poses = poses.reshape(steps, blocks, 18 * BLOCK)
+    if limits is not None:
+        angles, adjacent = np.empty((2, steps, blocks, 8 * BLOCK))
+        _arm_triangles(poses, angles, adjacent)
+        np.arctan2(angles, adjacent, out=angles)
+        which = list(ANGLES)
+        centre = postures_from_points(mean, observation.posture, continuous=True, usual=False)
+        spread = _angle_spread(centre, np.sqrt(np.einsum("tjdr,tjdr->tj", factor, factor) / 3.0))
+        lower, upper, speed = (values[which] for values in limits.of_posture())
+        _hold_within_bounds(
+            poses,
+            angles,
+            rng.random((steps, samples, 8), dtype=np.float32),
+            observation.posture[which],
+            observation.posture[list(LENGTHS[1:])],
+            centre[:, which],
+            spread,
+            lower,
+            upper,
+            speed * observation.dt,
+            np.inf if limits.wrist_speed is None else limits.wrist_speed * observation.dt,
+        )
+    motions = np.empty((samples, steps, 6, 3))
+    _to_world(poses, *observation.frame, motions)
+    return motions
+
+
+def _angle_spread(centre: Float[np.ndarray, "T 18"], spread: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "T 8"]:
+    """(T, 8) spread of each arm angle [rad], to first order, from that of the joints [m]."""
+    return angle_noise(centre.reshape(-1, 3, 6)[:, 1:], spread.reshape(-1, 2, 3)).reshape(-1, 8)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _arm_triangles(
+    poses: Float[np.ndarray, "T B 18*C"],
+    opposite: Float[np.ndarray, "T B 8*C"],
+    adjacent: Float[np.ndarray, "T B 8*C"],
+) -> None:
+    """θ1 … θ4 of the left and the right arm (kinecast.body.posture) as sides of right-angled triangles.
+
+    The angles arctan(opposite / adjacent) lie within half a turn of 0; an undefined one is NaN.
+    """
+    for t in range(poses.shape[0]):
+        for b in range(poses.shape[1]):
+            p, up, along = poses[t, b], opposite[t, b], adjacent[t, b]
+            for arm in range(2):
+                side = 1.0 - 2.0 * arm
+                at, k = 9 * BLOCK * arm, 4 * BLOCK * arm
+                for c in range(BLOCK):
+                    x, y, z = (
+                        p[c] - p[9 * BLOCK + c],
+                        p[BLOCK + c] - p[10 * BLOCK + c],
+                        p[2 * BLOCK + c] - p[11 * BLOCK + c],
+                    )
+                    level = math.sqrt(x * x + y * y)
+                    width = math.sqrt(level * level + z * z)
+                    sy, cy, sr, cr = -x / level, y / level, z / width, level / width
+                    i = at + c
+                    ex, ey, ez = p[i + 3 * BLOCK], p[i + 4 * BLOCK], p[i + 5 * BLOCK]
+                    ux, uy, uz = ex - p[i], ey - p[i + BLOCK], ez - p[i + 2 * BLOCK]
+                    fx, fy, fz = p[i + 6 * BLOCK] - ex, p[i + 7 * BLOCK] - ey, p[i + 8 * BLOCK] - ez
+                    ahead = cy * uy - sy * ux
+                    ux, uy, uz = cy * ux + sy * uy, side * (cr * ahead + sr * uz), cr * uz - sr * ahead
+                    ahead = cy * fy - sy * fx
+                    fx, fy, fz = cy * fx + sy * fy, side * (cr * ahead + sr * fz), cr * fz - sr * ahead
+                    swing = math.sqrt(ux * ux + uz * uz)
+                    bone = math.sqrt(swing * swing + uy * uy)
+                    s1, c1, s2, c2 = ux / swing, -uz / swing, uy / bone, swing / bone
+                    flexed, ahead = fx * s1 - fz * c1, fx * c1 + fz * s1
+                    outward = c2 * fy - s2 * flexed
+                    j = k + c
+                    up[j], along[j] = ux, -uz
+                    up[j + BLOCK], along[j + BLOCK] = uy, swing
+                    up[j + 2 * BLOCK], along[j + 2 * BLOCK] = outward, ahead
+                    up[j + 3 * BLOCK] = math.sqrt(ahead * ahead + outward * outward)
+                    along[j + 3 * BLOCK] = c2 * flexed + s2 * fy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _hold_within_bounds(
+    poses: Float[np.ndarray, "T B 18*C"],
+    angles: Float[np.ndarray, "T B 8*C"],
+    uniforms: Float32[np.ndarray, "T S 8"],
+    initial: Float[np.ndarray, "8"],
+    bones: Float[np.ndarray, "4"],
+    centre: Float[np.ndarray, "T 8"],
+    spread: Float[np.ndarray, "T 8"],
+    lower: Float[np.ndarray, "8"],
+    upper: Float[np.ndarray, "8"],
+    reach: Float[np.ndarray, "8"],
+    wrist_reach: float,
+) -> None:
+    """Poses, changed in place: the angles of every step within Eq. 4's bounds of the step before.
+
+    Args:
+        poses: torso frame [m].
+        angles: of both arms [rad], as `_arm_triangles` has them.
+        uniforms: for what is drawn anew.
+        initial: angles one step before the first [rad].
+        bones: upper arm and forearm there, left and right [m].
+        centre, spread: of the mean motion's angles [rad].
+        lower, upper: range [rad].
+        reach: farthest that an angle goes in a step [rad].
+        wrist_reach: farthest that a wrist goes relative to the torso in a step [m]; infinite for none.
+    """
+    blocks = poses.shape[1]
+    last = np.empty((blocks, 8 * BLOCK))
+    for b in range(blocks):
+        for i in range(8 * BLOCK):
+            last[b, i] = initial[i // BLOCK]
+    held = np.empty(BLOCK, dtype=np.bool_)
+    for t in range(poses.shape[0]):
+        for b in range(blocks):
+            p, angle, before = poses[t, b], angles[t, b], last[b]
+            for arm in range(2):
+                a = 4 * arm
+                for c in range(BLOCK):
+                    held[c] = wrist_reach == np.inf
+                for k in range(a, a + 4):
+                    low, high, far = lower[k], upper[k], reach[k]
+                    for c in range(BLOCK):
+                        value = angle[k * BLOCK + c]
+                        near = math.fabs(value - before[k * BLOCK + c]) <= far
+                        held[c] &= near & (low <= value) & (value <= high)
+                for c in range(min(BLOCK, uniforms.shape[1] - b * BLOCK)):
+                    i1, i2, i3, i4 = a * BLOCK + c, (a + 1) * BLOCK + c, (a + 2) * BLOCK + c, (a + 3) * BLOCK + c
+                    if not held[c]:
+                        _turn_to(angle, before, i1, i2, i3, i4)
+                        u = uniforms[t, b * BLOCK + c]
+                        upper_arm, forearm = bones[2 * arm], bones[2 * arm + 1]
+                        if t > 0 and wrist_reach != np.inf:
+                            upper_arm, forearm = _bones(poses[t - 1, b], arm, c)
+                        changed = False
+                        for k in range(a, a + 4):
+                            i, far = k * BLOCK + c, reach[k]
+                            if wrist_reach != np.inf:
+                                lever = _lever(before[i2], before[i3], before[i4], upper_arm, forearm, k - a)
+                                far = min(far, wrist_reach / lever)
+                            lb, ub = bounds(lower[k], upper[k], far, before[i], 1.0)
+                            if not lb <= angle[i] <= ub:
+                                about = centre[t, k] if k == a + 3 else nearest_turn(centre[t, k], before[i])
+                                angle[i] = sample(u[k], about, spread[t, k], lb, ub)
+                                changed = True
+                        if changed:
+                            _place_arm(p, angle, i1, i2, i3, i4, arm, c)
+                    before[i1], before[i2], before[i3], before[i4] = angle[i1], angle[i2], angle[i3], angle[i4]
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _turn_to(angle: np.ndarray, before: np.ndarray, i1: int, i2: int, i3: int, i4: int) -> None:
+    """The angles of one arm on the turn and the branch next to those before (kinecast.body.posture)."""
+    p1, p2, p3 = before[i1], before[i2], before[i3]
+    here1, here2, here3 = nearest_turn(angle[i1], p1), nearest_turn(angle[i2], p2), nearest_turn(angle[i3], p3)
+    there1, there2 = nearest_turn(here1 + math.pi, p1), nearest_turn(math.pi - here2, p2)
+    gain = (here1 - p1) ** 2 + (here2 - p2) ** 2 - (there1 - p1) ** 2 - (there2 - p2) ** 2
+    other = gain > 4.0 * angle[i4] * before[i4] * math.cos(here3 - p3)
+    angle[i1] = there1 if other else here1
+    angle[i2] = there2 if other else here2
+    angle[i3] = nearest_turn(here3 + math.pi, p3) if other else here3
+
+
+@njit(cache=True)
+@no_type_check
+def _bones(p: np.ndarray, arm: int, c: int) -> tuple[float, float]:
+    """Lengths of one arm's upper arm and forearm [m]."""
+    s, e, w, y, z = 9 * arm * BLOCK + c, (9 * arm + 3) * BLOCK + c, (9 * arm + 6) * BLOCK + c, BLOCK, 2 * BLOCK
+    upper = (p[e] - p[s]) ** 2 + (p[e + y] - p[s + y]) ** 2 + (p[e + z] - p[s + z]) ** 2
+    fore = (p[w] - p[e]) ** 2 + (p[w + y] - p[e + y]) ** 2 + (p[w + z] - p[e + z]) ** 2
+    return math.sqrt(upper), math.sqrt(fore)
+
+
+@njit(cache=True)
+@no_type_check
+def _lever(theta2: float, theta3: float, theta4: float, upper: float, fore: float, k: int) -> float:
+    """|∂ wrist / ∂ θ_k| relative to the torso [m]."""
+    across, along = fore * math.sin(theta4), upper + fore * math.cos(theta4)
+    outward = across * math.sin(theta3)
+    if k == 0:
+        return math.hypot(across * math.cos(theta3), math.cos(theta2) * along - math.sin(theta2) * outward)
+    return math.hypot(along, outward) if k == 1 else math.fabs(across) if k == 2 else fore
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _place_arm(p: np.ndarray, angle: np.ndarray, i1: int, i2: int, i3: int, i4: int, arm: int, c: int) -> None:
+    """Forward kinematics: elbow and wrist of one arm at its angles, its bones as long as they are."""
+    side, s, e, w = 1.0 - 2.0 * arm, 9 * arm * BLOCK + c, (9 * arm + 3) * BLOCK + c, (9 * arm + 6) * BLOCK + c
+    y1, z1 = BLOCK, 2 * BLOCK
+    upper, fore = _bones(p, arm, c)
+    x, y, z = p[c] - p[9 * BLOCK + c], p[y1 + c] - p[10 * BLOCK + c], p[z1 + c] - p[11 * BLOCK + c]
+    level = math.sqrt(x * x + y * y)
+    width = math.sqrt(level * level + z * z)
+    sy, cy, sr, cr = -x / level, y / level, z / width, level / width
+    s1, c1, s2, c2 = math.sin(angle[i1]), math.cos(angle[i1]), math.sin(angle[i2]), math.cos(angle[i2])
+    s3, c3, s4, c4 = math.sin(angle[i3]), math.cos(angle[i3]), math.sin(angle[i4]), math.cos(angle[i4])
+    ux, uy, uz = c2 * s1, side * s2, -c2 * c1
+    fx = c4 * ux + s4 * (c3 * c1 - s3 * s2 * s1)
+    fy = c4 * uy + s4 * s3 * side * c2
+    fz = c4 * uz + s4 * (c3 * s1 + s3 * s2 * c1)
+    ahead = cr * uy - sr * uz
+    p[e] = p[s] + upper * (cy * ux - sy * ahead)
+    p[e + y1] = p[s + y1] + upper * (sy * ux + cy * ahead)
+    p[e + z1] = p[s + z1] + upper * (sr * uy + cr * uz)
+    ahead = cr * fy - sr * fz
+    p[w] = p[e] + fore * (cy * fx - sy * ahead)
+    p[w + y1] = p[e + y1] + fore * (sy * fx + cy * ahead)
+    p[w + z1] = p[e + z1] + fore * (sr * fy + cr * fz)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _to_world(
+    poses: Float[np.ndarray, "T B 18*C"],
+    rotation: Float[np.ndarray, "3 3"],
+    origin: Float[np.ndarray, "3"],
+    motions: Float[np.ndarray, "S T 6 3"],
+) -> None:
+    """Motions of the torso frame, in blocks, as positions in the world."""
+    for s in range(motions.shape[0]):
+        b, c = s // BLOCK, s % BLOCK
+        for t in range(motions.shape[1]):
+            p, out = poses[t, b], motions[s, t]
+            for j in range(6):
+                at = 3 * j * BLOCK + c
+                x, y, z = p[at], p[at + BLOCK], p[at + 2 * BLOCK]
+                for a in range(3):
+                    out[j, a] = origin[a] + rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z
