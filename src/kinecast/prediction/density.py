@@ -20,8 +20,7 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from kinecast.body.arm_angles import TURN
-from kinecast.body.posture import coordinates_from_postures, postures_from_coordinates, postures_from_points
+from kinecast.body.posture import TURN, coordinates_from_postures, postures_from_coordinates, postures_from_points
 from kinecast.prediction.allowance import Allowance
 
 __all__ = ["BLOCKS", "CoordinateGaussianDensity", "PositionGaussianDensity", "combine"]

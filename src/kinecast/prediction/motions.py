@@ -14,11 +14,14 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-from kinecast.body.arm_angles import COINCIDENT, UNDEFINED, arm_vectors, nearest_turn
 from kinecast.body.elementary import arctangent, sine_cosine
 from kinecast.body.limits import JointLimits, bounds, posture_bounds, speeds_within_wrist_speed
 from kinecast.body.posture import (
+    COINCIDENT,
+    UNDEFINED,
+    arm_vectors,
     into_torso,
+    nearest_turn,
     out_of_torso,
     points_of_posture,
     posture_of_points,
@@ -238,7 +241,7 @@ def _angles(
     speed: Float[np.ndarray, "4"],
     dt: float,
 ) -> None:
-    """The angles of one arm (kinecast.body.arm_angles), on the branch that goes on from the step before.
+    """The angles of one arm (`arm_angles`), on the branch that goes on from the step before.
 
     They are not sure where an angle is undefined.
     """
@@ -341,7 +344,7 @@ def _bounded(
 def _placed(
     work: Float[np.ndarray, " W"], to_points: int, to_angles: int, to_lengths: int, to_flags: int, side: float
 ) -> None:
-    """Forward kinematics of one arm in the lanes where it was moved (kinecast.body.arm_angles.arm_vectors)."""
+    """Forward kinematics of one arm in the lanes where it was moved (`arm_vectors`)."""
     for lane in range(LANES):
         at = ANGLES + to_angles + lane
         theta = (work[at], work[at + LANES], work[at + 2 * LANES], work[at + 3 * LANES])

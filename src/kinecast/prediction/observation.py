@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from kinecast.body.placement import moved
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.scene import Scene
+from kinecast.geometry.transforms import transformed
 
 __all__ = ["Observation", "TrainingWindows", "reference_frame"]
 
@@ -77,12 +77,12 @@ class Observation:
     def to_torso(self, positions: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
         """World positions [m] in the torso frame."""
         rotation, origin = self.frame
-        return moved(positions - origin, rotation.T, np.zeros(3))
+        return transformed(positions - origin, rotation.T, np.zeros(3))
 
     def to_world(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
         """Torso-frame points [m] in the world."""
         rotation, origin = self.frame
-        return moved(points, rotation, origin)
+        return transformed(points, rotation, origin)
 
 
 @dataclass(frozen=True)
