@@ -198,39 +198,6 @@ def speeds_within_wrist_speed(posture: np.ndarray, speed: np.ndarray, wrist_spee
                 out[at + i] = wrist_speed / lever[i]
 
 
-@njit(cache=True)
-@no_type_check
-def _violations(
-    postures: np.ndarray,
-    initial: np.ndarray,
-    dt: float,
-    limits: tuple[np.ndarray, np.ndarray, np.ndarray, float],
-    widened: tuple[np.ndarray, np.ndarray],
-    position: np.ndarray,
-    fast: np.ndarray,
-) -> None:
-    lower, upper, speed, wrist_speed = limits
-    ceiling = speed.copy()
-    for series in range(len(postures)):
-        low, high = widened[0].copy(), widened[1].copy()
-        before = initial
-        for step in range(postures.shape[1]):
-            now = postures[series, step]
-            speeds_within_wrist_speed(before, speed, wrist_speed, ceiling)
-            for at in (6, 12):
-                straight = not STRAIGHT < now[at + 3] < math.pi - STRAIGHT
-                was_straight = not STRAIGHT < before[at + 3] < math.pi - STRAIGHT
-                for i in range(at, at + 4):
-                    reach = ceiling[i] * dt
-                    low[i], high[i] = min(lower[i], low[i] + reach), max(upper[i], high[i] - reach)
-                    if i == at + 2 and straight:
-                        continue
-                    position[series, step] |= now[i] < low[i] - TOLERANCE or now[i] > high[i] + TOLERANCE
-                    if not (i == at + 2 and was_straight):
-                        fast[series, step] |= math.fabs(now[i] - before[i]) > reach + TOLERANCE
-            before = now
-
-
 def violations(
     postures: Float[np.ndarray, "*batch T 18"], initial: Float[np.ndarray, " 18"], dt: float, limits: JointLimits
 ) -> tuple[Bool[np.ndarray, "*batch T"], Bool[np.ndarray, "*batch T"]]:
@@ -250,12 +217,24 @@ def violations(
     Returns:
         (…, T) position violations and (…, T) speed violations.
     """
-    series = math.prod(postures.shape[:-2])
-    flat = np.ascontiguousarray(postures, dtype=np.float64).reshape(series, *postures.shape[-2:])
-    position, fast = np.zeros((2, *flat.shape[:2]), dtype=np.bool_)
-    start = np.ascontiguousarray(initial, dtype=np.float64)
     lower, upper, speed, wrist_speed = posture_bounds(limits)
+    before = np.concatenate([np.broadcast_to(initial, postures[..., :1, :].shape), postures[..., :-1, :]], axis=-2)
+    speeds = np.broadcast_to(speed, before.shape)
+    if wrist_speed < np.inf:
+        speeds = speeds.copy()
+        for i in np.ndindex(before.shape[:-1]):
+            speeds_within_wrist_speed(before[i], speed, wrist_speed, speeds[i])
+    arms = list(ANGLES)
+    now, last, lower, upper, start = (x[..., arms] for x in (postures, before, lower, upper, initial))
+    reach = speeds[..., arms] * dt
     # A start outside the range widens it, and the excuse closes at full speed.
-    widened = np.fmin(start, lower), np.fmax(start, upper)
-    _violations(flat, start, dt, (lower, upper, speed, wrist_speed), widened, position, fast)
-    return position.reshape(postures.shape[:-1]), fast.reshape(postures.shape[:-1])
+    widened = np.cumsum(reach, axis=-2)
+    low, high = np.minimum(lower, np.fmin(start, lower) + widened), np.maximum(upper, np.fmax(start, upper) - widened)
+    outside = (now < low - TOLERANCE) | (now > high + TOLERANCE)
+    fast = np.abs(now - last) > reach + TOLERANCE
+    for axial, elbow in ((2, 3), (6, 7)):
+        bent = (now[..., elbow] > STRAIGHT) & (now[..., elbow] < math.pi - STRAIGHT)
+        was_bent = (last[..., elbow] > STRAIGHT) & (last[..., elbow] < math.pi - STRAIGHT)
+        outside[..., axial] &= bent
+        fast[..., axial] &= bent & was_bent
+    return outside.any(axis=-1), fast.any(axis=-1)
