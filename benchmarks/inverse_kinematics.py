@@ -1,4 +1,4 @@
-"""Inverse kinematics of one arm: closed form, damped least squares, SciPy's least squares, particle swarm.
+"""Inverse kinematics of one arm: closed form, SciPy's least squares, particle swarm.
 
 python -m benchmarks.inverse_kinematics [--targets N] [--out JSON]
 
@@ -19,8 +19,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.machine import facts, milliseconds, save
 from benchmarks.naive import LOWER, UPPER, arm, swarm_angles
-from kinecast.body.arm import forward_kinematics, jacobian
-from kinecast.body.inverse_kinematics import closed_form, damped_least_squares
+from kinecast.body.posture import OUTSIDE_WEIGHT, arm_angles
 
 LENGTHS = np.array([0.29, 0.26])
 SIDE = 1.0
@@ -75,20 +74,15 @@ def run(targets: int) -> dict[str, Any]:
 def solvers() -> dict[str, Solver]:
     """All solvers by name."""
 
-    def stacked(theta: np.ndarray) -> np.ndarray:
-        return np.asarray(forward_kinematics(theta, LENGTHS, SIDE)).ravel()
-
-    def slopes(theta: np.ndarray) -> np.ndarray:
-        return np.asarray(jacobian(theta, LENGTHS, SIDE)).reshape(6, 4)
-
     def by_closed_form(points: np.ndarray, start: np.ndarray) -> np.ndarray:
-        return np.asarray(closed_form(points[:1], points[1:], SIDE, start)[0][0])
-
-    def by_damped(points: np.ndarray, start: np.ndarray) -> np.ndarray:
-        return np.asarray(damped_least_squares(stacked, slopes, points.ravel(), start, LOWER, UPPER).theta)
+        elbow, wrist = points
+        return np.array(arm_angles(tuple(elbow), tuple(wrist - elbow), SIDE, tuple(start), OUTSIDE_WEIGHT))
 
     def by_scipy(points: np.ndarray, start: np.ndarray) -> np.ndarray:
-        return np.asarray(least_squares(lambda theta: stacked(theta) - points.ravel(), start, bounds=(LOWER, UPPER)).x)
+        def miss(theta: np.ndarray) -> np.ndarray:
+            return (np.stack(arm(theta, *LENGTHS, SIDE)) - points).ravel()
+
+        return np.asarray(least_squares(miss, start, bounds=(LOWER, UPPER)).x)
 
     def by_small_swarm(points: np.ndarray, _start: np.ndarray) -> np.ndarray:
         return swarm_angles(points[0], points[1], SIDE)
@@ -98,7 +92,6 @@ def solvers() -> dict[str, Solver]:
 
     return {
         "closed form": by_closed_form,
-        "damped least squares": by_damped,
         "SciPy least_squares": by_scipy,
         "particle swarm, 20 × 50": by_small_swarm,
         "particle swarm, 50 × 200": by_large_swarm,

@@ -30,8 +30,7 @@ from kinecast.datasets.loading import load
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
-from kinecast.geometry.motion import ConstantVelocity, MovingObstacle
-from kinecast.geometry.shapes import Box
+from kinecast.geometry.shapes import Box, ConstantVelocity, MovingObstacle
 from kinecast.pipeline import frames, training_windows
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train

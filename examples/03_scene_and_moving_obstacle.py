@@ -12,7 +12,7 @@ import numpy as np
 
 from kinecast import Box, Predictor, PredictorOptions, Scene
 from kinecast.datasets.synthetic import SyntheticOptions, generate
-from kinecast.geometry.motion import MovingObstacle, Waypoints
+from kinecast.geometry.shapes import MovingObstacle, Waypoints
 from kinecast.pipeline import frames
 
 TABLE = """

@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinecast.body.arm_angles import USUAL_RANGE
 from kinecast.body.limits import AngleLimit, JointLimits, violations
-from kinecast.body.posture import points_from_postures, postures_from_points
+from kinecast.body.posture import USUAL_RANGE, points_from_postures, postures_from_points
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.scene import Scene

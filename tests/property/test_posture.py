@@ -7,13 +7,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from kinecast.body.arm_angles import USUAL_RANGE
 from kinecast.body.limits import JointLimits, bounds, violations
 from kinecast.body.posture import (
     ANGLES,
     LEFT_ARM,
     LENGTHS,
     RIGHT_ARM,
+    USUAL_RANGE,
     coordinates_from_postures,
     log_det_jacobian,
     other_branch,

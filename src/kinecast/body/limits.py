@@ -1,7 +1,7 @@
 """Limits of the arm: the range of each angle, its speed, and the bounds of one step (Eq. 4).
 
 The range is static; the bounds are what a step can reach inside it. Signs are those of
-kinecast.body.arm_angles, so both sides share one set of numbers.
+kinecast.body.posture, so both sides share one set of numbers.
 """
 
 from __future__ import annotations
@@ -15,11 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numba import njit
 
-from kinecast.body.arm_angles import USUAL_RANGE
-from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM
+from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM, USUAL_RANGE
 from kinecast.errors import OptionError
-
-__all__ = ["AngleLimit", "JointLimits", "bounds", "posture_bounds", "speeds_within_wrist_speed", "violations"]
 
 TOLERANCE = 1e-9
 """An angle this far [rad] outside its limit still counts as inside: round-off of FK and IK."""
@@ -27,23 +24,20 @@ TOLERANCE = 1e-9
 STRAIGHT = math.radians(2.0)
 """θ4 below which, or as near to π, axial rotation says nothing and is not checked [rad]."""
 
+HELD = 0.998
+"""Share of each side's training angles that widened ranges hold (docs/decisions/0004)."""
+
 
 @dataclass(frozen=True)
 class AngleLimit:
-    """Range and speed of one angle.
-
-    Attributes:
-        lower: least angle [rad].
-        upper: greatest angle [rad].
-        speed: greatest speed either way [rad/s]; may be infinite.
-    """
+    """Range [rad] and greatest speed either way [rad/s], which may be infinite, of one angle."""
 
     lower: float
     upper: float
     speed: float
 
 
-# AAOS (1965), as the shoulder's in kinecast.body.arm_angles: pronation and supination 80; wrist flexion 80,
+# AAOS (1965), as the shoulder's in kinecast.body.posture: pronation and supination 80; wrist flexion 80,
 # extension 70; ulnar deviation 30, radial 20.
 _PRONATION = (math.radians(-80.0), math.radians(80.0))
 _WRIST_FLEXION = (math.radians(-70.0), math.radians(80.0))
@@ -92,25 +86,16 @@ class JointLimits:
         if self.wrist_speed is not None and not self.wrist_speed > 0.0:
             raise OptionError(f"limits.wrist_speed: {self.wrist_speed} m/s is outside (0, ∞]")
 
-    def widened(self, postures: Float[np.ndarray, "N 18"], share: float = 0.998) -> JointLimits:
-        """Limits whose ranges also hold the middle `share` of the postures seen; never narrower than before.
+    def widened(self, postures: Float[np.ndarray, "N 18"]) -> JointLimits:
+        """Limits whose ranges also hold nearly all postures seen, never narrower than before; speeds stay.
 
         For markers that are not at the joints: their angles are offset, and an honest range is offset too.
 
         Args:
             postures: (N, 18) postures of training recordings; NaN is left out.
-            share: of the angles of each side to hold, in (0, 1].
-
-        Returns:
-            The wider limits; speeds stay.
-
-        Raises:
-            OptionError: share outside (0, 1].
         """
-        if not 0.0 < share <= 1.0:
-            raise OptionError(f"share {share} is outside (0, 1]")
-        wider: list[AngleLimit] = []
-        for i, (_, limit) in enumerate(self._named_angles()[:4]):
+        wider: dict[str, AngleLimit] = {}
+        for i, (name, limit) in enumerate(self._named_angles()[:4]):
             lower, upper = limit.lower, limit.upper
             for arm in (LEFT_ARM, RIGHT_ARM):
                 angles = postures[:, arm]
@@ -118,42 +103,38 @@ class JointLimits:
                 if i == 2:
                     told &= (angles[:, 3] > STRAIGHT) & (angles[:, 3] < math.pi - STRAIGHT)
                 if told.any():
-                    ends = np.quantile(angles[told, i], [0.5 * (1.0 - share), 0.5 * (1.0 + share)])
+                    ends = np.quantile(angles[told, i], [0.5 * (1.0 - HELD), 0.5 * (1.0 + HELD)])
                     lower, upper = min(lower, float(ends[0])), max(upper, float(ends[1]))
-            wider.append(AngleLimit(max(lower, -2.0 * math.pi), min(upper, 2.0 * math.pi), limit.speed))
-        flexion, abduction, axial_rotation, elbow = wider
-        return replace(self, flexion=flexion, abduction=abduction, axial_rotation=axial_rotation, elbow=elbow)
+            wider[name] = AngleLimit(max(lower, -2.0 * math.pi), min(upper, 2.0 * math.pi), limit.speed)
+        return replace(self, **wider)  # type: ignore[arg-type]
 
     def _named_angles(self) -> list[tuple[str, AngleLimit]]:
         return [(f.name, getattr(self, f.name)) for f in fields(self) if f.name != "wrist_speed"]
 
+    @cached_property
+    def _table(self) -> Float[np.ndarray, "3 7"]:
+        return np.array([[limit.lower, limit.upper, limit.speed] for _, limit in self._named_angles()]).T
+
     @property
     def lower(self) -> Float[np.ndarray, " 7"]:
         """(7,) least angles θ1 … θ7 [rad]."""
-        return np.array([limit.lower for _, limit in self._named_angles()])
+        return self._table[0].copy()
 
     @property
     def upper(self) -> Float[np.ndarray, " 7"]:
         """(7,) greatest angles θ1 … θ7 [rad]."""
-        return np.array([limit.upper for _, limit in self._named_angles()])
+        return self._table[1].copy()
 
     @property
     def speed(self) -> Float[np.ndarray, " 7"]:
         """(7,) greatest speeds of θ1 … θ7 [rad/s]."""
-        return np.array([limit.speed for _, limit in self._named_angles()])
+        return self._table[2].copy()
 
-    def of_posture(
-        self,
-    ) -> tuple[Float[np.ndarray, " 18"], Float[np.ndarray, " 18"], Float[np.ndarray, " 18"]]:
+    def of_posture(self) -> tuple[Float[np.ndarray, " 18"], Float[np.ndarray, " 18"], Float[np.ndarray, " 18"]]:
         """(18,) lower [rad], upper [rad], speed [rad/s] of a posture; infinite for all but the arm angles."""
-        lower, upper, speed = self._of_posture
-        return lower.copy(), upper.copy(), speed.copy()
-
-    @cached_property
-    def _of_posture(self) -> Float[np.ndarray, "3 18"]:
         result = np.repeat([[-np.inf], [np.inf], [np.inf]], POSTURE_SIZE, axis=1)
-        result[:, list(ANGLES)] = np.tile([self.lower[:4], self.upper[:4], self.speed[:4]], 2)
-        return result
+        result[:, list(ANGLES)] = np.tile(self._table[:, :4], 2)
+        return result[0], result[1], result[2]
 
 
 def posture_bounds(
@@ -175,8 +156,7 @@ def bounds(lower: float, upper: float, speed: float, previous: float, dt: float)
     range.
 
     Args:
-        lower: least angle [rad].
-        upper: greatest angle [rad].
+        lower, upper: the range [rad].
         speed: greatest speed [rad/s].
         previous: the angle θ one step earlier [rad].
         dt: length of the step [s].
@@ -218,55 +198,8 @@ def speeds_within_wrist_speed(posture: np.ndarray, speed: np.ndarray, wrist_spee
                 out[at + i] = wrist_speed / lever[i]
 
 
-@njit(cache=True)
-@no_type_check
-def _violations(
-    postures: np.ndarray,
-    initial: np.ndarray,
-    dt: float,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    speed: np.ndarray,
-    wrist_speed: float,
-    position: np.ndarray,
-    fast: np.ndarray,
-) -> None:
-    ceiling = speed.copy()
-    low, high = lower.copy(), upper.copy()
-    for series in range(postures.shape[0]):
-        # A start outside the range widens it, and the excuse closes at full speed.
-        for i in range(18):
-            low[i] = initial[i] if initial[i] < lower[i] else lower[i]
-            high[i] = initial[i] if initial[i] > upper[i] else upper[i]
-        for step in range(postures.shape[1]):
-            now = postures[series, step]
-            before = initial if step == 0 else postures[series, step - 1]
-            if not math.isinf(wrist_speed):
-                speeds_within_wrist_speed(before, speed, wrist_speed, ceiling)
-            outside = False
-            quick = False
-            for at in (6, 12):
-                straight = not STRAIGHT < now[at + 3] < math.pi - STRAIGHT
-                was_straight = not STRAIGHT < before[at + 3] < math.pi - STRAIGHT
-                for i in range(at, at + 4):
-                    reach = ceiling[i] * dt
-                    low[i] = min(lower[i], low[i] + reach)
-                    high[i] = max(upper[i], high[i] - reach)
-                    if i == at + 2 and straight:
-                        continue
-                    outside |= now[i] < low[i] - TOLERANCE or now[i] > high[i] + TOLERANCE
-                    if i == at + 2 and was_straight:
-                        continue
-                    quick |= math.fabs(now[i] - before[i]) > reach + TOLERANCE
-            position[series, step] = outside
-            fast[series, step] = quick
-
-
 def violations(
-    postures: Float[np.ndarray, "*batch T 18"],
-    initial: Float[np.ndarray, " 18"],
-    dt: float,
-    limits: JointLimits,
+    postures: Float[np.ndarray, "*batch T 18"], initial: Float[np.ndarray, " 18"], dt: float, limits: JointLimits
 ) -> tuple[Bool[np.ndarray, "*batch T"], Bool[np.ndarray, "*batch T"]]:
     """Which steps leave the range of an arm angle, and which move one faster than its speed.
 
@@ -284,20 +217,24 @@ def violations(
     Returns:
         (…, T) position violations and (…, T) speed violations.
     """
-    lower, upper, speed = limits.of_posture()
-    batch, steps = postures.shape[:-2], postures.shape[-2]
-    series = math.prod(batch)
-    position = np.zeros((series, steps), dtype=np.bool_)
-    fast = np.zeros((series, steps), dtype=np.bool_)
-    _violations(
-        np.ascontiguousarray(postures, dtype=np.float64).reshape(series, steps, POSTURE_SIZE),
-        np.ascontiguousarray(initial, dtype=np.float64),
-        dt,
-        lower,
-        upper,
-        speed,
-        math.inf if limits.wrist_speed is None else limits.wrist_speed,
-        position,
-        fast,
-    )
-    return position.reshape(*batch, steps), fast.reshape(*batch, steps)
+    lower, upper, speed, wrist_speed = posture_bounds(limits)
+    before = np.concatenate([np.broadcast_to(initial, postures[..., :1, :].shape), postures[..., :-1, :]], axis=-2)
+    speeds = np.broadcast_to(speed, before.shape)
+    if wrist_speed < np.inf:
+        speeds = speeds.copy()
+        for i in np.ndindex(before.shape[:-1]):
+            speeds_within_wrist_speed(before[i], speed, wrist_speed, speeds[i])
+    arms = list(ANGLES)
+    now, last, lower, upper, start = (x[..., arms] for x in (postures, before, lower, upper, initial))
+    reach = speeds[..., arms] * dt
+    # A start outside the range widens it, and the excuse closes at full speed.
+    widened = np.cumsum(reach, axis=-2)
+    low, high = np.minimum(lower, np.fmin(start, lower) + widened), np.maximum(upper, np.fmax(start, upper) - widened)
+    outside = (now < low - TOLERANCE) | (now > high + TOLERANCE)
+    fast = np.abs(now - last) > reach + TOLERANCE
+    for axial, elbow in ((2, 3), (6, 7)):
+        bent = (now[..., elbow] > STRAIGHT) & (now[..., elbow] < math.pi - STRAIGHT)
+        was_bent = (last[..., elbow] > STRAIGHT) & (last[..., elbow] < math.pi - STRAIGHT)
+        outside[..., axial] &= bent
+        fast[..., axial] &= bent & was_bent
+    return outside.any(axis=-1), fast.any(axis=-1)

@@ -2,8 +2,8 @@
 
 Points are in the reference torso frame (x forward, y from right to left shoulder, z up the torso), in the
 order of `ARM_JOINTS`. With p the middle of the shoulders and d from the right to the left one,
-d = w (−sin ψ cos ρ, cos ψ cos ρ, sin ρ), the torso turns by R = Rz(ψ) Rx(ρ), and each arm's angles
-(kinecast.body.arm_angles) are read in the frame R.
+d = w (−sin ψ cos ρ, cos ψ cos ρ, sin ρ), the torso turns by R = Rz(ψ) Rx(ρ), and each arm's angles are read
+in the frame R.
 
 | numbers | meaning | unit |
 |---|---|---|
@@ -14,36 +14,28 @@ d = w (−sin ψ cos ρ, cos ψ cos ρ, sin ρ), the torso turns by R = Rz(ψ) R
 | 10, 11 | left upper arm, forearm | m |
 | 12 … 15 | right flexion, abduction, axial rotation, elbow flexion | rad |
 | 16, 17 | right upper arm, forearm | m |
+
+| angle of an arm | positive is | zero is |
+|---|---|---|
+| θ1 flexion | forward and up | upper arm in the plane of the shoulders |
+| θ2 abduction | sideways, away from the body | upper arm in the plane of forward and up |
+| θ3 axial rotation | external: a bent forearm turns outward | a bent forearm points along flexion |
+| θ4 elbow flexion | bent | straight |
+
+Two sets of angles describe the same arm: (θ1, θ2, θ3, θ4) and (θ1 + π, π − θ2, θ3 + π, θ4), its two branches.
+In kernels a vector is a tuple of floats, and side is +1 left, −1 right.
 """
 
 from __future__ import annotations
 
 import math
-from typing import no_type_check
+from typing import TypeAlias, no_type_check
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.body.arm_angles import (
-    COINCIDENT,
-    LEFT,
-    OUTSIDE_WEIGHT,
-    RIGHT,
-    UNDEFINED,
-    Vector,
-    arm_angles,
-    arm_vectors,
-    nearest_turn,
-)
-from kinecast.body.elementary import sine_cosine
-
-__all__ = [
-    "ANGLES", "LEFT_ARM", "LENGTHS", "POSTURE_SIZE", "RIGHT_ARM", "WIDTH",
-    "coordinates_from_postures", "into_torso", "log_det_jacobian", "other_branch", "out_of_torso",
-    "points_from_postures", "points_of_posture", "posture_of_points", "postures_from_coordinates",
-    "postures_from_points",
-]  # fmt: skip
+from kinecast.geometry.transforms import transformed
 
 POSTURE_SIZE = 18
 WIDTH = 5
@@ -54,18 +46,164 @@ ANGLES = (6, 7, 8, 9, 12, 13, 14, 15)
 LENGTHS = (5, 10, 11, 16, 17)
 """Places of the lengths in a posture: shoulder width and the four bones."""
 
+Vector: TypeAlias = tuple[float, float, float]
+Angles: TypeAlias = tuple[float, float, float, float]
+
+LEFT = 1.0
+RIGHT = -1.0
+
+TURN = 2.0 * math.pi
+
+# Normal motion after the American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and
+# Recording" (1965): flexion 180, extension 60; abduction 180; external rotation 90, internal 70; elbow 150.
+# Wider are adduction, which goes across the body, and internal rotation, which real work takes to 88.
+USUAL_RANGE = (
+    (math.radians(-60.0), math.radians(180.0)),
+    (math.radians(-50.0), math.radians(180.0)),
+    (math.radians(-100.0), math.radians(90.0)),
+    (math.radians(0.0), math.radians(150.0)),
+)
+"""Lower and upper end of each angle [rad]: branches are judged by it, and the default limits are these."""
+
+REST = (0.0, 0.0, 0.0, 0.5 * math.pi)
+"""The previous angles where there are none: arm hanging, elbow bent at a right angle."""
+
+OUTSIDE_WEIGHT = 16.0
+"""A branch 45° (π/4) outside loses against one inside that lies half a turn (π) away: 16 (π/4)² = π²."""
+
+FAR = math.radians(195.0)
+"""Whole turns are given up this far from the middle of the range: half a turn, and 15° against chatter."""
+
+UNDEFINED = 1e-13
+"""Sine below which a direction is round-off: the angle about it is undefined and keeps its previous value."""
+
+COINCIDENT = 1e-140
+"""Points nearer than this [m] are one: squares of what is UNDEFINED times smaller still have all their digits."""
+
+
+@njit(cache=True)
+@no_type_check
+def nearest_turn(angle: float, target: float) -> float:
+    """The angle [rad], moved by whole turns to within π of target."""
+    return angle + TURN * math.floor((target - angle) / TURN + 0.5)
+
+
+@njit(cache=True)
+@no_type_check
+def arm_vectors(theta: Angles, upper: float, fore: float, side: float) -> tuple[Vector, Vector]:
+    """Forward kinematics (Eq. 1) of four angles [rad] and two lengths [m]: shoulder to elbow, elbow to wrist [m].
+
+    They are L1·u and L2·(cos θ4 u + sin θ4 (cos θ3 e1 + sin θ3 e2)), with u, e1, e2 the upper arm's axes.
+    """
+    s1, c1 = math.sin(theta[0]), math.cos(theta[0])
+    s2, c2 = math.sin(theta[1]), math.cos(theta[1])
+    s3, c3 = math.sin(theta[2]), math.cos(theta[2])
+    s4, c4 = math.sin(theta[3]), math.cos(theta[3])
+    along, across = fore * c4, fore * s4
+    ahead, outward = across * c3, across * s3
+    ux, uy, uz = c2 * s1, side * s2, -c2 * c1
+    fx = along * ux + ahead * c1 - outward * s2 * s1
+    fy = along * uy + outward * side * c2
+    fz = along * uz + ahead * s1 + outward * s2 * c1
+    return (upper * ux, upper * uy, upper * uz), (fx, fy, fz)
+
+
+@njit(cache=True)
+@no_type_check
+def _beyond(angle: float, usual: tuple[float, float]) -> float:
+    """Squared distance [rad²] of an angle from its usual range."""
+    distance = max(usual[0] - angle, angle - usual[1], 0.0)
+    return distance * distance
+
+
+@njit(cache=True)
+@no_type_check
+def _turned(angle: float, previous: float, usual: tuple[float, float], weight: float) -> float:
+    """The angle by whole turns nearest to previous, or, with a weight, to the usual range when that is far from it."""
+    middle = 0.5 * (usual[0] + usual[1])
+    turned = nearest_turn(angle, previous)
+    return turned if weight == 0.0 or math.fabs(turned - middle) <= FAR else nearest_turn(angle, middle)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: float) -> Angles:
+    """Inverse kinematics: of the two branches, the one nearest to the previous angles and to the usual range.
+
+    It has the least squared distance in (θ1, θ2, θ4 cos θ3, θ4 sin θ3), which is smooth at a straight elbow,
+    plus `weight` times the squared distance from the usual range. So continuous motion keeps its branch, but with
+    `OUTSIDE_WEIGHT` a tracker that jumps across the shoulder cannot leave an arm on a branch no arm can be on. Whole
+    turns are the nearest to the previous angles, until that is more than 195° from the middle of the usual range.
+    With weight 0 the angles go on from the previous ones wherever those are: the angles of a motion that kept
+    limits are then found again from its points, even where limits are wider than the usual range.
+
+    An angle that is undefined keeps its previous value, 0 when there is none: θ3 at a straight elbow, θ1 with
+    the arm straight out sideways. A forearm that is NaN gives NaN for θ3 and θ4 alone.
+
+    Args:
+        u: shoulder to elbow, of any length [m].
+        f: elbow to wrist, of any length [m].
+        side: +1 left, −1 right.
+        previous: the angles one step earlier [rad]; NaN for none, an arm at rest then.
+        weight: of the usual range, `OUTSIDE_WEIGHT` or 0.
+
+    Returns:
+        The four angles [rad]; θ4 lies in [0, π].
+    """
+    upper = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    if math.isnan(upper):
+        return math.nan, math.nan, math.nan, math.nan
+    p1, p2 = REST[:2] if math.isnan(previous[0] + previous[1]) else previous[:2]
+    p3, p4 = REST[2:] if math.isnan(previous[2] + previous[3]) else previous[2:]
+
+    swing = math.sqrt(u[0] * u[0] + u[2] * u[2])
+    s2, c2 = (side * u[1] / upper, swing / upper) if upper > COINCIDENT else (0.0, 1.0)
+    theta2 = math.atan2(s2, c2)
+    if upper > COINCIDENT and swing > UNDEFINED * upper:
+        theta1 = math.atan2(u[0], -u[2])
+        s1, c1 = u[0] / swing, -u[2] / swing
+    else:
+        theta1 = p1
+        s1, c1 = math.sin(theta1), math.cos(theta1)
+
+    flexed = f[0] * s1 - f[2] * c1
+    along = c2 * flexed + s2 * side * f[1]
+    ahead = f[0] * c1 + f[2] * s1
+    outward = c2 * side * f[1] - s2 * flexed
+    across = math.sqrt(ahead * ahead + outward * outward)
+    theta4 = math.atan2(across, along)
+    bent = across > UNDEFINED * math.fabs(along)
+    theta3 = math.atan2(outward, ahead) if bent else p3
+
+    here1 = _turned(theta1, p1, USUAL_RANGE[0], weight)
+    here2 = _turned(theta2, p2, USUAL_RANGE[1], weight)
+    here3 = _turned(theta3, p3, USUAL_RANGE[2], weight)
+    there1 = _turned(theta1 + math.pi, p1, USUAL_RANGE[0], weight)
+    there2 = _turned(math.pi - theta2, p2, USUAL_RANGE[1], weight)
+    there3 = _turned(theta3 + math.pi, p3, USUAL_RANGE[2], weight) if bent else here3
+
+    gain = (here1 - p1) ** 2 + (here2 - p2) ** 2 - (there1 - p1) ** 2 - (there2 - p2) ** 2
+    gain += weight * (_beyond(here1, USUAL_RANGE[0]) + _beyond(here2, USUAL_RANGE[1]))
+    gain -= weight * (_beyond(there1, USUAL_RANGE[0]) + _beyond(there2, USUAL_RANGE[1]))
+    if bent:
+        gain -= 4.0 * theta4 * p4 * math.cos(here3 - p3)
+        rotated = _beyond(here3, USUAL_RANGE[2]) - _beyond(there3, USUAL_RANGE[2])
+        gain += weight * theta4 * theta4 * rotated
+    if math.isnan(across):
+        here3, there3 = math.nan, math.nan
+    if gain > 0.0:
+        return there1, there2, there3, theta4
+    return here1, here2, here3, theta4
+
 
 @njit(cache=True)
 @no_type_check
 def _difference(points: np.ndarray, tip: int, base: int) -> Vector:
-    return (
-        points[tip, 0] - points[base, 0],
-        points[tip, 1] - points[base, 1],
-        points[tip, 2] - points[base, 2],
-    )
+    a, b = points[tip], points[base]
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True)
 @no_type_check
 def into_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
     """Rᵀ v with R = Rz(ψ) Rx(ρ)."""
@@ -73,7 +211,7 @@ def into_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
     return cy * v[0] + sy * v[1], cr * level + sr * v[2], cr * v[2] - sr * level
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True)
 @no_type_check
 def out_of_torso(v: Vector, sy: float, cy: float, sr: float, cr: float) -> Vector:
     """R v with R = Rz(ψ) Rx(ρ)."""
@@ -95,7 +233,7 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, o
     Args:
         points: (6, 3) points in the reference torso frame [m]; a NaN point gives NaN where it is needed.
         previous: (18,) posture one step earlier; NaN for none, number by number.
-        weight: of the usual range in the choice of the branch (kinecast.body.arm_angles).
+        weight: of the usual range in the choice of the branch as in `arm_angles`.
         out: (18,) receives the posture; may be the same array as previous.
     """
     d = _difference(points, 0, 3)
@@ -138,11 +276,11 @@ def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
     """The six points of a posture (kernel).
 
     Args:
-        posture: (18,) posture.
+        posture: (18,).
         out: (6, 3) receives the points in the reference torso frame [m].
     """
-    sy, cy = sine_cosine(posture[3])
-    sr, cr = sine_cosine(posture[4])
+    sy, cy = math.sin(posture[3]), math.cos(posture[3])
+    sr, cr = math.sin(posture[4]), math.cos(posture[4])
     half = 0.5 * posture[5]
     d = (-half * sy * cr, half * cy * cr, half * sr)
     for arm in range(2):
@@ -217,7 +355,7 @@ def points_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.n
     """Points of postures: shoulders p ± d/2, elbows L1·R u from them, wrists L2·R f from the elbows.
 
     Args:
-        postures: (…, 18) postures.
+        postures: (…, 18).
 
     Returns:
         (…, 6, 3) points in the reference torso frame [m], in the order of `ARM_JOINTS`.
@@ -226,6 +364,18 @@ def points_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.n
     out = np.empty((len(flat), 6, 3))
     _points_series(flat, out)
     return out.reshape(*postures.shape[:-1], 6, 3)
+
+
+def to_world(
+    postures: Float[np.ndarray, "*batch 18"], rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "*batch 6 3"]:
+    """R · points_from_postures(postures) + o: (…, 6, 3) arms [m] in the world.
+
+    Args:
+        postures: (…, 18) postures.
+        rotation, origin: of the reference torso frame in the world [m].
+    """
+    return transformed(points_from_postures(postures), rotation, origin)
 
 
 def log_det_jacobian(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarray, "*batch"]:
@@ -239,29 +389,20 @@ def log_det_jacobian(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarr
     Returns:
         (…) natural logarithm; −inf at a straight elbow, a sideways arm or an upright shoulder line.
     """
-    squared = postures[..., list(LENGTHS)]
-    single = np.stack(
+    factors = np.concatenate(
         [
-            np.cos(postures[..., 4]),
-            np.cos(postures[..., 7]), np.sin(postures[..., 9]),
-            np.cos(postures[..., 13]), np.sin(postures[..., 15]),
+            postures[..., list(2 * LENGTHS)],
+            np.cos(postures[..., [4, 7, 13]]),
+            np.sin(postures[..., [9, 15]]),
         ],
         axis=-1,
-    )  # fmt: skip
+    )
     with np.errstate(divide="ignore"):
-        logs = 2.0 * np.log(np.abs(squared)) + np.log(np.abs(single))
-    return np.asarray(logs.sum(axis=-1))
+        return np.asarray(np.log(np.abs(factors)).sum(axis=-1))
 
 
 def other_branch(theta: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 4"]:
-    """The other angles of the same arm: (θ1, θ2, θ3, θ4) ↦ (θ1 + π, π − θ2, θ3 + π, θ4).
-
-    Args:
-        theta: (…, 4) angles of one arm [rad].
-
-    Returns:
-        (…, 4) angles [rad], not wrapped.
-    """
+    """The other angles (…, 4) [rad] of the same arm, not wrapped: (θ1, θ2, θ3, θ4) ↦ (θ1 + π, π − θ2, θ3 + π, θ4)."""
     other = np.array(theta, dtype=np.float64)
     other[..., :3] = np.pi + theta[..., :3] * np.array([1.0, -1.0, 1.0])
     return other
@@ -271,12 +412,7 @@ def coordinates_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float
     """Smooth coordinates for regression: (θ3, θ4) of each arm become (θ4 cos θ3, θ4 sin θ3).
 
     θ3 is undefined at a straight elbow; these two are smooth there. |∂coordinates/∂posture| = θ4 an arm.
-
-    Args:
-        postures: (…, 18) postures.
-
-    Returns:
-        (…, 18) the same numbers with places 8, 9 and 14, 15 replaced [rad].
+    Returns (…, 18) the same numbers with places 8, 9 and 14, 15 replaced [rad].
     """
     coordinates = np.array(postures, dtype=np.float64)
     for at in (8, 14):
@@ -287,14 +423,7 @@ def coordinates_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float
 
 
 def postures_from_coordinates(coordinates: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarray, "*batch 18"]:
-    """Postures of smooth coordinates: θ4 = |(a, b)|, θ3 = atan2(b, a) in [−π, π], 0 at a straight elbow.
-
-    Args:
-        coordinates: (…, 18) from `coordinates_from_postures`.
-
-    Returns:
-        (…, 18) postures.
-    """
+    """Postures (…, 18) of smooth coordinates: θ4 = |(a, b)|, θ3 = atan2(b, a) in [−π, π], 0 at a straight elbow."""
     postures = np.array(coordinates, dtype=np.float64)
     for at in (8, 14):
         a, b = coordinates[..., at], coordinates[..., at + 1]

@@ -13,12 +13,6 @@ from types import MappingProxyType
 
 from kinecast.errors import DatasetError
 
-__all__ = [
-    "ARM_JOINTS", "AZURE_KINECT_32", "BVH_COLLAR", "BVH_FOREARM", "COCO_17", "HA4M_ARMS_14", "HA4M_UPPER_23",
-    "JOINTS", "KTH_13", "LEGO_6", "MEDIAPIPE_33", "SKELETONS", "VICON", "XSENS_23", "ZED_34",
-    "Skeleton", "require_arms", "without_side",
-]  # fmt: skip
-
 ARM_JOINTS = (
     "left_shoulder", "left_elbow", "left_wrist",
     "right_shoulder", "right_elbow", "right_wrist",

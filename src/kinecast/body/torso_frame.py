@@ -7,19 +7,15 @@ shoulders.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numba import njit
 
 from kinecast.errors import DatasetError
-
-__all__ = ["Torso", "UpSource", "torso_frame", "up_source"]
+from kinecast.geometry.transforms import rotation_y, transform
 
 LEAST_LENGTH = 0.08
 """A joint nearer than this to the middle of the shoulders, off their line, gives no direction [m]."""
@@ -79,14 +75,10 @@ def up_source(joints: Sequence[str], positions: Float[np.ndarray, "N J 3"]) -> U
     Raises:
         DatasetError: a shoulder is not among the joints.
     """
-    shoulders = _Shoulders(joints, positions)
-    tracked = shoulders.tracked.sum()
-    for source in UpSource:
-        if source is UpSource.WORLD:
-            break
-        if 2 * np.isfinite(_lean(source, joints, positions, shoulders)).sum() >= max(tracked, 1):
-            return source
-    return UpSource.WORLD
+    T = _shoulder_frame(joints, positions)
+    tracked = max(np.isfinite(T[:, 0, 3]).sum(), 1)
+    served = (source for source in UpSource if 2 * np.isfinite(_lean(source, joints, positions, T)).sum() >= tracked)
+    return next(served, UpSource.WORLD)
 
 
 def torso_frame(
@@ -113,70 +105,49 @@ def torso_frame(
     """
     series = positions.reshape(-1, *positions.shape[-2:])
     source = up_source(joints, series) if source is None else source
-    shoulders = _Shoulders(joints, series)
-    seen = _lean(source, joints, series, shoulders)
-    held = np.isnan(seen)
-    leans = _hold(seen, lean)
-
-    sine, cosine = np.sin(leans)[:, None], np.cos(leans)[:, None]
-    T = np.zeros((len(series), 4, 4))
-    T[:, :3, 0] = cosine * shoulders.forward - sine * shoulders.up
-    T[:, :3, 1] = shoulders.leftward
-    T[:, :3, 2] = cosine * shoulders.up + sine * shoulders.forward
-    T[:, :3, 3] = shoulders.middle
-    T[:, 3, 3] = 1.0
-    T[~shoulders.tracked] = np.nan
+    T = _shoulder_frame(joints, series)
+    seen = _lean(source, joints, series, T)
+    last_seen = np.maximum.accumulate(np.where(np.isnan(seen), -1, np.arange(len(seen))))
+    leans = np.where(last_seen < 0, lean, seen[last_seen]) if len(seen) else seen
+    T = T @ transform(rotation_y(leans), np.zeros((len(leans), 3)))
     batch = positions.shape[:-2]
-    return Torso(T.reshape(*batch, 4, 4), leans.reshape(batch), source, held.reshape(batch))
+    return Torso(T.reshape(*batch, 4, 4), leans.reshape(batch), source, np.isnan(seen).reshape(batch))
 
 
-class _Shoulders:
-    """The frame the shoulders alone give: leftward along them, up as near world up as can be, forward."""
-
-    def __init__(self, joints: Sequence[str], positions: Float[np.ndarray, "N J 3"]) -> None:
-        for name in ("left_shoulder", "right_shoulder"):
-            if name not in joints:
-                found = ", ".join(joints) or "no joint"
-                raise DatasetError("torso frame", f"{name} is needed; the joints are {found}")
-        left = np.asarray(positions[:, joints.index("left_shoulder")], dtype=np.float64)
-        right = np.asarray(positions[:, joints.index("right_shoulder")], dtype=np.float64)
-        self.middle = 0.5 * (left + right)
-        self.tracked = np.isfinite(self.middle).all(axis=-1)
-        axes = np.empty((3, len(left), 3))
-        _shoulder_axes(left, right, axes)
-        self.forward, self.leftward, self.up = axes
-
-
-@njit(cache=True)
-@no_type_check
-def _shoulder_axes(
-    left: Float[np.ndarray, "N 3"], right: Float[np.ndarray, "N 3"], axes: Float[np.ndarray, "3 N 3"]
-) -> None:
-    """Unit vectors forward, leftward and up of each shoulder line; NaN where a shoulder is.
+def _shoulder_frame(joints: Sequence[str], positions: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N 4 4"]:
+    """The frame the shoulders alone give: leftward along them, up as near world up as can be; NaN where one is.
 
     Coincident shoulders face along world x, an upright shoulder line as near to it as can be: any choice, but never
     NaN.
     """
-    for n in range(len(left)):
-        x, y, z = left[n, 0] - right[n, 0], left[n, 1] - right[n, 1], left[n, 2] - right[n, 2]
-        width = math.sqrt(x * x + y * y + z * z)
-        x, y, z = (0.0, 1.0, 0.0) if width <= SHORT else (x / width, y / width, z / width)
-        # Forward is leftward × world up; where these are one line, world x freed of what lies along the line.
-        level = math.sqrt(x * x + y * y)
-        ahead = (y * y + z * z, -x * y, -x * z) if level <= SHORT else (y, -x, 0.0)
-        length = math.sqrt(ahead[0] ** 2 + ahead[1] ** 2 + ahead[2] ** 2)
-        fx, fy, fz = ahead[0] / length, ahead[1] / length, ahead[2] / length
-        axes[0, n] = fx, fy, fz
-        axes[1, n] = x, y, z
-        axes[2, n] = fy * z - fz * y, fz * x - fx * z, fx * y - fy * x
+    for name in ("left_shoulder", "right_shoulder"):
+        if name not in joints:
+            found = ", ".join(joints) or "no joint"
+            raise DatasetError("torso frame", f"{name} is needed; the joints are {found}")
+    left = np.asarray(positions[:, joints.index("left_shoulder")], dtype=np.float64)
+    right = np.asarray(positions[:, joints.index("right_shoulder")], dtype=np.float64)
+    line = left - right
+    width = np.sqrt((line**2).sum(axis=-1, keepdims=True))
+    leftward = np.where(width <= SHORT, [0.0, 1.0, 0.0], line / np.where(width <= SHORT, 1.0, width))
+    x, y, z = leftward.T
+    # Forward is leftward × world up; where these are one line, world x freed of what lies along the line.
+    upright = (np.hypot(x, y) <= SHORT)[:, None]
+    ahead = np.where(upright, np.stack([y * y + z * z, -x * y, -x * z], axis=-1), np.stack([y, -x, 0.0 * z], axis=-1))
+    forward = ahead / np.sqrt((ahead**2).sum(axis=-1, keepdims=True))
+    fx, fy, fz = forward.T
+    up = np.stack([fy * z - fz * y, fz * x - fx * z, fx * y - fy * x], axis=-1)
+    T = transform(np.stack([forward, leftward, up], axis=-1), 0.5 * (left + right))
+    T[~np.isfinite(T).all(axis=(1, 2))] = np.nan
+    return T
 
 
 def _lean(
-    source: UpSource, joints: Sequence[str], positions: Float[np.ndarray, "N J 3"], shoulders: _Shoulders
+    source: UpSource, joints: Sequence[str], positions: Float[np.ndarray, "N J 3"], T: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, " N"]:
-    """Forward lean [rad] as the source shows it; NaN where it is missing or degenerate."""
+    """Forward lean [rad] from the shoulders' frame as the source shows it; NaN where it is missing or degenerate."""
+    middle = T[:, :3, 3]
     if source is UpSource.WORLD:
-        return np.where(shoulders.tracked, 0.0, np.nan)
+        return 0.0 * middle.sum(axis=-1)
     if source is UpSource.HIPS:
         if not set(source.value) <= set(joints):
             return np.full(len(positions), np.nan)
@@ -188,18 +159,10 @@ def _lean(
                 other = positions[:, joints.index(name)]
                 point = np.where(np.isfinite(other), other, point)
     above = source in (UpSource.NECK, UpSource.HEAD)
-    up = point - shoulders.middle if above else shoulders.middle - point
-    ahead = np.sum(up * shoulders.forward, axis=-1)
-    rise = np.sum(up * shoulders.up, axis=-1)
+    up = point - middle if above else middle - point
+    ahead, rise = np.einsum("ni,nij->jn", up, T[:, :3, [0, 2]])
     off_line = np.hypot(ahead, rise)
     clear = (off_line > LEAST_LENGTH) & (off_line > LEAST_SINE * np.linalg.norm(up, axis=-1))
     if above:
         clear &= rise > LEAST_RISE * off_line
     return np.where(clear, np.arctan2(ahead, rise), np.nan)
-
-
-def _hold(values: Float[np.ndarray, " N"], before: float) -> Float[np.ndarray, " N"]:
-    """Each NaN replaced by the last value that is not, `before` at the start."""
-    known = np.where(np.isnan(values), -1, np.arange(len(values)))
-    last = np.maximum.accumulate(known) if len(values) else known
-    return np.where(last < 0, before, values[last])

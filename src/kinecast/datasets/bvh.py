@@ -16,7 +16,7 @@ from kinecast.datasets.compressed import MOST_POINTS, base_name, head, read_byte
 from kinecast.datasets.delimited import number, rows
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
-from kinecast.geometry.axes import from_y_up
+from kinecast.geometry.transforms import from_y_up
 
 __all__ = ["CENTIMETRES_Y_UP", "BvhOptions", "load", "matches"]
 

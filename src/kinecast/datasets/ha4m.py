@@ -14,7 +14,7 @@ from kinecast.datasets.compressed import read_bytes
 from kinecast.datasets.delimited import rows, split_lines
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
-from kinecast.geometry.axes import from_camera
+from kinecast.geometry.transforms import from_camera
 
 __all__ = ["LABELS", "RATE", "TASK", "label_name", "load", "matches", "subject_of"]
 

@@ -14,7 +14,7 @@ from kinecast.datasets.compressed import WHOLE_LIMIT, base_name, head, read_byte
 from kinecast.datasets.ha4m import RATE, TASK, label_name, subject_of
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
-from kinecast.geometry.axes import from_camera
+from kinecast.geometry.transforms import from_camera
 
 __all__ = ["load", "matches"]
 

@@ -11,7 +11,7 @@ from kinecast.body.skeleton import LEGO_6
 from kinecast.datasets.compressed import base_name, head, read_bytes
 from kinecast.datasets.delimited import rows
 from kinecast.datasets.recording import Recording
-from kinecast.geometry.axes import from_camera
+from kinecast.geometry.transforms import from_camera
 
 __all__ = ["load", "matches"]
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int8
 
-from kinecast.body.flaws import Flaw, TrackingLimits, find_flaws
-from kinecast.body.tracking import fill
+from kinecast.body.tracking import Flaw, TrackingLimits, fill, find_flaws
 from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 

@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.body.flaws import Flaw
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.body.torso_frame import torso_frame
+from kinecast.body.tracking import Flaw
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import RepairOptions, RepairReport, repair, spans
 from kinecast.datasets.resampling import measured_rate

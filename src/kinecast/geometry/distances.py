@@ -1,4 +1,4 @@
-"""Compiled signed distances of points and limbs to obstacles.
+"""Compiled signed distances of points and limbs to obstacles: > 0 is free, exact outside and inside.
 
 Two kinds of obstacle suffice. A half-space; and a box whose surface is moved outwards by a radius, since a
 capsule is such a box without width and depth, and a sphere one without any size. Moving the surface of a
@@ -21,20 +21,8 @@ import math
 from typing import TypeAlias, no_type_check
 
 import numpy as np
-from numba import njit, prange
-from numba.np.unsafe.ndarray import to_fixed_tuple
-
-__all__ = [
-    "HALF_SPACE",
-    "ROUNDED_BOX",
-    "ROW",
-    "arms_are_free",
-    "point_distance",
-    "point_distances",
-    "scene_distances",
-    "segment_distance",
-    "segment_distances",
-]
+from jaxtyping import Float, Int
+from numba import njit
 
 HALF_SPACE = 0.0
 ROUNDED_BOX = 1.0
@@ -45,7 +33,6 @@ TOUCHING = 1e-20
 """Squared distance [m^2] under which a segment may pass through a box: (1e-10 m)^2, beyond round-off."""
 
 Point: TypeAlias = tuple[float, float, float]
-Row: TypeAlias = tuple[float, ...]
 
 
 @njit(cache=True)
@@ -76,31 +63,20 @@ def _excess(x: float, half: float) -> float:
 
 @njit(cache=True)
 @no_type_check
-def _depth(p: Point, h: Point) -> float:
-    """max(|p| − h): minus the depth of a point inside the box, above 0 outside."""
-    return max(abs(p[0]) - h[0], abs(p[1]) - h[1], abs(p[2]) - h[2])
+def _depth(a: Point, d: Point, h: Point, t: float) -> float:
+    """max(|p| − h) at p = a + t d: minus the depth of a point inside the box, above 0 outside."""
+    return max(abs(a[0] + t * d[0]) - h[0], abs(a[1] + t * d[1]) - h[1], abs(a[2] + t * d[2]) - h[2])
 
 
 @njit(cache=True)
 @no_type_check
-def _squared_outside(p: Point, h: Point) -> float:
-    """Squared distance of a point to the box, 0 inside."""
-    x, y, z = _excess(p[0], h[0]), _excess(p[1], h[1]), _excess(p[2], h[2])
-    return x * x + y * y + z * z
+def _squared(a: Point, d: Point, h: Point, t: float) -> tuple[float, float]:
+    """Squared distance of a + t d to the box, 0 inside, and half its derivative by t.
 
-
-@njit(cache=True)
-@no_type_check
-def _along(a: Point, d: Point, t: float) -> Point:
-    return (a[0] + t * d[0], a[1] + t * d[1], a[2] + t * d[2])
-
-
-@njit(cache=True)
-@no_type_check
-def _slope(a: Point, d: Point, h: Point, t: float) -> float:
-    """Half the derivative of the squared distance along a + t d; rises with t, linear between faces."""
-    p = _along(a, d, t)
-    return d[0] * _excess(p[0], h[0]) + d[1] * _excess(p[1], h[1]) + d[2] * _excess(p[2], h[2])
+    The derivative rises with t, and is linear between the planes of the faces.
+    """
+    x, y, z = _excess(a[0] + t * d[0], h[0]), _excess(a[1] + t * d[1], h[1]), _excess(a[2] + t * d[2], h[2])
+    return x * x + y * y + z * z, x * d[0] + y * d[1] + z * d[2]
 
 
 @njit(cache=True)
@@ -113,7 +89,7 @@ def _closest(a: Point, d: Point, h: Point) -> float:
     last two the slope is linear.
     """
     low, high = 0.0, 1.0
-    at_low, at_high = _slope(a, d, h, low), _slope(a, d, h, high)
+    at_low, at_high = _squared(a, d, h, low)[1], _squared(a, d, h, high)[1]
     if at_low >= 0.0:
         return low
     if at_high <= 0.0:
@@ -123,7 +99,7 @@ def _closest(a: Point, d: Point, h: Point) -> float:
             for side in (-1.0, 1.0):
                 t = (side * h[axis] - a[axis]) / d[axis]
                 if low < t < high:
-                    slope = _slope(a, d, h, t)
+                    slope = _squared(a, d, h, t)[1]
                     if slope < 0.0:
                         low, at_low = t, slope
                     else:
@@ -138,7 +114,7 @@ def _deepest(a: Point, d: Point, h: Point) -> float:
 
     It lies at an end or where two of the lines cross.
     """
-    best = min(_depth(a, h), _depth(_along(a, d, 1.0), h))
+    best = min(_depth(a, d, h, 0.0), _depth(a, d, h, 1.0))
     for i in range(6):
         offset, slope = (a[i // 2], d[i // 2]) if i % 2 else (-a[i // 2], -d[i // 2])
         for j in range(i):
@@ -146,159 +122,70 @@ def _deepest(a: Point, d: Point, h: Point) -> float:
             if slope != other_slope:
                 t = ((other - h[j // 2]) - (offset - h[i // 2])) / (slope - other_slope)
                 if 0.0 < t < 1.0:
-                    best = min(best, _depth(_along(a, d, t), h))
+                    best = min(best, _depth(a, d, h, t))
     return best
 
 
 @njit(cache=True)
 @no_type_check
-def point_distance(row: np.ndarray, p: Point) -> float:
-    """Signed distance [m] of a point to one obstacle, above 0 outside, exact everywhere."""
-    if row[0] == HALF_SPACE:
-        return _height(row, p)
-    q = _local(row, p)
-    h = (row[13], row[14], row[15])
-    outside = _squared_outside(q, h)
-    return (math.sqrt(outside) if outside > 0.0 else _depth(q, h)) - row[16]
-
-
-@njit(cache=True)
-@no_type_check
-def segment_distance(row: np.ndarray, a: Point, b: Point) -> float:
+def segment_distance(row: np.ndarray, start: Point, end: Point) -> float:
     """Least signed distance [m] over the points of a segment to one obstacle, exact."""
     if row[0] == HALF_SPACE:
-        return min(_height(row, a), _height(row, b))
-    p, q = _local(row, a), _local(row, b)
-    d = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
+        return min(_height(row, start), _height(row, end))
+    a, b = _local(row, start), _local(row, end)
+    d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     h = (row[13], row[14], row[15])
-    outside = _squared_outside(_along(p, d, _closest(p, d, h)), h)
-    distance = math.sqrt(outside)
-    if outside < TOUCHING:
-        distance = min(distance, _deepest(p, d, h))
+    squared = _squared(a, d, h, _closest(a, d, h))[0]
+    distance = math.sqrt(squared)
+    if squared < TOUCHING:
+        distance = min(distance, _deepest(a, d, h))
     return distance - row[16]
 
 
 @njit(cache=True)
 @no_type_check
-def _stays_out(p: Point, q: Point, h: Point, reach: float) -> bool:
-    """Whether a segment in the box's frame keeps more than `reach` away from the box."""
-    if (  # wholly beyond one face: most limbs, most of the time
-        abs(p[0] + q[0]) - abs(p[0] - q[0]) > 2.0 * (h[0] + reach)
-        or abs(p[1] + q[1]) - abs(p[1] - q[1]) > 2.0 * (h[1] + reach)
-        or abs(p[2] + q[2]) - abs(p[2] - q[2]) > 2.0 * (h[2] + reach)
-    ):
-        return True
-    d = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
-    return _squared_outside(_along(p, d, _closest(p, d, h)), h) > max(reach * reach, TOUCHING)
-
-
-@njit(cache=True)
-@no_type_check
-def point_distances(row: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(N,) signed distances of (N, 3) points to one obstacle."""
-    distances = np.empty(len(points))
-    for n in range(len(points)):
-        distances[n] = point_distance(row, (points[n, 0], points[n, 1], points[n, 2]))
-    return distances
-
-
-@njit(cache=True)
-@no_type_check
-def segment_distances(row: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """(N,) signed distances of (N, 3) to (N, 3) segments to one obstacle."""
-    distances = np.empty(len(starts))
-    for n in range(len(starts)):
-        a = (starts[n, 0], starts[n, 1], starts[n, 2])
-        b = (ends[n, 0], ends[n, 1], ends[n, 2])
-        distances[n] = segment_distance(row, a, b)
-    return distances
-
-
-@njit(cache=True)
-@no_type_check
-def scene_distances(rows: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(S, T, J) distances of (S, T, J, 3) points to the nearest of the obstacles (T, O, ROW) of each time."""
-    samples, times, joints = points.shape[:3]
-    distances = np.full((samples, times, joints), np.inf)
-    for s in range(samples):
-        for t in range(times):
-            for j in range(joints):
-                p = (points[s, t, j, 0], points[s, t, j, 1], points[s, t, j, 2])
+def _nearest(
+    rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
+) -> None:
+    """`half` (T, O, 3) are half widths of upright boxes around the obstacles: most limbs lie beyond them."""
+    for s in range(len(out)):
+        for t in range(out.shape[1]):
+            for k in range(len(limbs)):
+                p, q = points[s, t, limbs[k, 0]], points[s, t, limbs[k, 1]]
+                ax, ay, az, bx, by, bz = p[0], p[1], p[2], q[0], q[1], q[2]
+                nearest = math.nan if math.isnan(ax + ay + az + bx + by + bz) else most
+                mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+                ex, ey, ez = 0.5 * abs(ax - bx), 0.5 * abs(ay - by), 0.5 * abs(az - bz)
                 for o in range(rows.shape[1]):
-                    distance = point_distance(rows[t, o], p)
-                    if not distance >= distances[s, t, j]:  # a NaN stays
-                        distances[s, t, j] = distance
-    return distances
+                    if (
+                        abs(mx - rows[t, o, 1]) - ex < half[t, o, 0] + nearest
+                        and abs(my - rows[t, o, 2]) - ey < half[t, o, 1] + nearest
+                        and abs(mz - rows[t, o, 3]) - ez < half[t, o, 2] + nearest
+                    ):
+                        nearest = min(nearest, segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz)))
+                out[s, t, k] = nearest
 
 
-LANES = 32
-"""Samples tested side by side: a loop over them without branches becomes vector instructions."""
-COORDINATES = 18
-"""Of the six joints, a row of lanes each."""
+def limb_distances(
+    rows: Float[np.ndarray, "T O 17"],
+    points: Float[np.ndarray, "*batch T J 3"],
+    limbs: Int[np.ndarray, "L 2"],
+    most: float = math.inf,
+) -> Float[np.ndarray, "*batch T L"]:
+    """Distances [m] of limbs to the nearest obstacle of their time; those from `most` on are `most`.
 
+    Args:
+        rows: (T, O, ROW) obstacles at each time.
+        points: (…, T, J, 3) [m].
+        limbs: (L, 2) the points each limb goes from and to; they may be one.
+        most: how far obstacles are looked for [m].
 
-@njit(cache=True, parallel=True)
-@no_type_check
-def arms_are_free(rows: np.ndarray, arms: np.ndarray, radius: float) -> np.ndarray:
-    """(S, T) whether no limb of (S, T, 6, 3) arm joints touches an obstacle (T, O, ROW) of its time.
-
-    Most arms lie wholly beyond one face of most obstacles: that is found out for all lanes at once. The others are
-    looked at one by one. An arm with a NaN is not free: nobody knows.
+    Returns:
+        (…, T, L) [m]; NaN where a coordinate is NaN.
     """
-    samples, times = arms.shape[:2]
-    free = np.empty((samples, times), dtype=np.bool_)
-    for block in prange((samples + LANES - 1) // LANES):
-        first, count = block * LANES, min(LANES, samples - block * LANES)
-        points = np.zeros(COORDINATES * LANES)
-        beyond = np.zeros(LANES, dtype=np.bool_)
-        for t in range(times):
-            for lane in range(count):
-                known = 0.0
-                for j in range(6):
-                    x, y, z = arms[first + lane, t, j, 0], arms[first + lane, t, j, 1], arms[first + lane, t, j, 2]
-                    known += x + y + z
-                    at = 3 * j * LANES + lane
-                    points[at], points[at + LANES], points[at + 2 * LANES] = x, y, z
-                free[first + lane, t] = not math.isnan(known)
-            for o in range(rows.shape[1]):
-                row = to_fixed_tuple(rows[t, o], ROW)  # in registers, for all lanes
-                for shoulder in (0, 3):
-                    _beyond_a_face(row, points[3 * shoulder * LANES :], radius, beyond)
-                    for lane in range(count):
-                        if not beyond[lane] and free[first + lane, t]:
-                            free[first + lane, t] = _arm_is_free(row, arms, first + lane, t, shoulder, radius)
-    return free
-
-
-@njit(cache=True, fastmath={"contract"})
-@no_type_check
-def _beyond_a_face(row: Row, points: np.ndarray, radius: float, beyond: np.ndarray) -> None:
-    """In which lanes all three joints lie beyond the same face of an obstacle, by more than the radius."""
-    flat = row[0] == HALF_SPACE
-    beyond[:] = False
-    for axis in range(1 if flat else 3):
-        # A half-space has one face, whose normal stands where a box has the first row of its rotation.
-        nx, ny, nz = (row[4], row[5], row[6]) if flat else (row[4 + axis], row[7 + axis], row[10 + axis])
-        offset = nx * row[1] + ny * row[2] + nz * row[3]
-        near = radius if flat else radius + row[16] + row[13 + axis]
-        far = -math.inf if flat else -near
-        for lane in range(LANES):
-            a = nx * points[lane] + ny * points[lane + LANES] + nz * points[lane + 2 * LANES] - offset
-            b = nx * points[lane + 3 * LANES] + ny * points[lane + 4 * LANES] + nz * points[lane + 5 * LANES] - offset
-            c = nx * points[lane + 6 * LANES] + ny * points[lane + 7 * LANES] + nz * points[lane + 8 * LANES] - offset
-            beyond[lane] |= ((a > near) & (b > near) & (c > near)) | ((a < far) & (b < far) & (c < far))
-
-
-@njit(cache=True)
-@no_type_check
-def _arm_is_free(row: Row, arms: np.ndarray, s: int, t: int, first: int, radius: float) -> bool:
-    """Whether the upper arm and forearm from shoulder joint `first` on stay clear of one obstacle."""
-    shoulder = (arms[s, t, first, 0], arms[s, t, first, 1], arms[s, t, first, 2])
-    elbow = (arms[s, t, first + 1, 0], arms[s, t, first + 1, 1], arms[s, t, first + 1, 2])
-    wrist = (arms[s, t, first + 2, 0], arms[s, t, first + 2, 1], arms[s, t, first + 2, 2])
-    if row[0] == HALF_SPACE:
-        return min(_height(row, shoulder), _height(row, elbow), _height(row, wrist)) > radius
-    p, q, r = _local(row, shoulder), _local(row, elbow), _local(row, wrist)
-    h = (row[13], row[14], row[15])
-    reach = radius + row[16]
-    return _stays_out(p, q, h, reach) and _stays_out(q, r, h, reach)
+    batch, shape = points.shape[:-3], points.shape[-3:]
+    half = (np.abs(rows[..., 4:13]).reshape(*rows.shape[:2], 3, 3) @ rows[..., 13:16, None])[..., 0] + rows[..., 16:]
+    half[rows[..., 0] == HALF_SPACE] = math.inf
+    out = np.empty((math.prod(batch), shape[0], len(limbs)))
+    _nearest(rows, half, np.ascontiguousarray(points, dtype=np.float64).reshape(len(out), *shape), limbs, most, out)
+    return out.reshape(*batch, shape[0], len(limbs))

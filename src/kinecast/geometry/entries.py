@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from kinecast.errors import DatasetError, OptionError
 
-__all__ = ["Entry", "built", "parse_yaml", "read_text"]
-
 MAXIMUM_BYTES = 1_000_000
 MAXIMUM_DEPTH = 8
 LARGEST = 100.0
@@ -45,19 +43,62 @@ def read_text(path: Path) -> str:
         raise DatasetError(path, f"byte {error.start} is not UTF-8 text") from None
 
 
+class _Loader(yaml.SafeLoader):
+    """Safe types only; refuses what SafeLoader would swallow or choke on."""
+
+    where: object
+    depth = 0
+
+    def _refuse(self, mark: yaml.Mark, problem: str) -> DatasetError:
+        return DatasetError(f"{self.where}, line {mark.line + 1}", problem)
+
+    def compose_node(self, parent: yaml.Node | None, index: object) -> yaml.Node | None:
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        if self.check_event(yaml.AliasEvent):
+            raise self._refuse(mark, "aliases (`*name`) are not allowed")
+        self.depth += 1
+        if self.depth > MAXIMUM_DEPTH and self.check_event(yaml.CollectionStartEvent):
+            raise self._refuse(mark, f"nested deeper than {MAXIMUM_DEPTH} levels")
+        node = super().compose_node(parent, index)  # type: ignore[arg-type]
+        self.depth -= 1
+        if isinstance(node, yaml.MappingNode):
+            keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            for i, key in enumerate(keys):
+                if key.value in {earlier.value for earlier in keys[:i]}:
+                    raise self._refuse(key.start_mark, f"`{key.value[:40]}` is given twice")
+        return node
+
+
+def parse_yaml(text: str, where: object) -> object:
+    """The parsed text: safe types only, no aliases, no repeated keys, bounded nesting."""
+    if len(text) > MAXIMUM_BYTES:
+        raise DatasetError(where, f"at most {MAXIMUM_BYTES} characters are read, found {len(text)}")
+    try:
+        loader = _Loader(text)
+        loader.where = where
+        return loader.get_single_data()
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
+        raise DatasetError(f"{where}{line}", f"not valid YAML: {error.problem}") from None
+    except (yaml.YAMLError, ValueError) as error:
+        if isinstance(error, DatasetError):
+            raise
+        raise DatasetError(where, f"not valid YAML: {_short.repr(str(error))}") from None
+
+
 @dataclass(frozen=True)
 class Entry:
-    """One mapping of the file, which knows its place for errors; `allowed` keys, or None until told."""
+    """One mapping of the file, which knows its place for errors; its `allowed` keys, or none until told."""
 
     where: object
     name: str
     found: object
-    allowed: tuple[str, ...] | None = None
+    allowed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.found, dict):
             raise self.error(f"expected entries `key: value`, found {_short.repr(self.found)}")
-        if self.allowed is not None:
+        if self.allowed:
             self.only(*self.allowed)
 
     @property
@@ -126,48 +167,3 @@ def built(entry: Entry, build: Callable[[Entry], T]) -> T:
         return build(entry)
     except OptionError as error:
         raise entry.error(str(error)) from None
-
-
-def parse_yaml(text: str, where: object) -> object:
-    """The parsed text: safe types only, no aliases, no repeated keys, bounded nesting."""
-    if len(text) > MAXIMUM_BYTES:
-        raise DatasetError(where, f"at most {MAXIMUM_BYTES} characters are read, found {len(text)}")
-    try:
-        _check_structure(text, where)
-        return yaml.safe_load(text)
-    except yaml.MarkedYAMLError as error:
-        line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
-        raise DatasetError(f"{where}{line}", f"not valid YAML: {error.problem}") from None
-    except (yaml.YAMLError, ValueError) as error:
-        if isinstance(error, DatasetError):
-            raise
-        raise DatasetError(where, f"not valid YAML: {_short.repr(str(error))}") from None
-
-
-def _check_structure(text: str, where: object) -> None:
-    """Refuse what safe_load would swallow or choke on: aliases, repeated keys, deep nesting."""
-    keys: list[set[str] | None] = []  # per open node: the keys seen so far, None for a list
-    is_key: list[bool] = []  # per open node: whether a mapping's next child is a key
-    for event in yaml.parse(text, Loader=yaml.SafeLoader):
-        mark = event.start_mark
-        place = where if mark is None else f"{where}, line {mark.line + 1}"
-        if isinstance(event, yaml.AliasEvent):
-            raise DatasetError(place, "aliases (`*name`) are not allowed")
-        if isinstance(event, yaml.CollectionEndEvent):
-            keys.pop()
-            is_key.pop()
-            continue
-        if not isinstance(event, yaml.NodeEvent):
-            continue
-        seen = keys[-1] if keys else None
-        if seen is not None:
-            if is_key[-1] and isinstance(event, yaml.ScalarEvent):
-                if event.value in seen:
-                    raise DatasetError(place, f"`{event.value[:40]}` is given twice")
-                seen.add(event.value)
-            is_key[-1] = not is_key[-1]
-        if isinstance(event, yaml.CollectionStartEvent):
-            keys.append(set() if isinstance(event, yaml.MappingStartEvent) else None)
-            is_key.append(True)
-            if len(keys) > MAXIMUM_DEPTH:
-                raise DatasetError(place, f"nested deeper than {MAXIMUM_DEPTH} levels")

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.geometry.distances import ROW
 from kinecast.geometry.shapes import Box, Sphere
-
-__all__ = ["Regions"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +33,8 @@ class Regions:
     @staticmethod
     def of(shapes: Mapping[str, Sphere | Box]) -> Regions:
         """The shapes, in their order."""
-        each = list(shapes.values())
-        return Regions(
-            tuple(shapes),
-            np.array([shape.center for shape in each]).reshape(-1, 3),
-            np.array([shape.rotation if isinstance(shape, Box) else np.eye(3) for shape in each]).reshape(-1, 3, 3),
-            np.array([shape.size / 2 if isinstance(shape, Box) else np.zeros(3) for shape in each]).reshape(-1, 3),
-            np.array([0.0 if isinstance(shape, Box) else shape.radius for shape in each]),
-        )
+        rows = np.array([shape.row for shape in shapes.values()]).reshape(-1, ROW)
+        return Regions(tuple(shapes), rows[:, 1:4], rows[:, 4:13].reshape(-1, 3, 3), rows[:, 13:16], rows[:, 16])
 
     def distance(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b G"]:
         """(…, G) distance [m] from each point to each region; 0 inside."""
@@ -51,8 +44,7 @@ class Regions:
     def within(self, points: Float[np.ndarray, "*b 3"], share: float) -> Float[np.ndarray, "*b G 3"]:
         """(…, G, 3) the nearest point [m] of each region shrunk to a share of its size about its centre."""
         own = self._own(points)
-        halves = share * self.halves
-        edge = np.clip(own, -halves, halves)
+        edge = np.clip(own, -share * self.halves, share * self.halves)
         away = own - edge
         length = np.sqrt((away**2).sum(axis=-1, keepdims=True))
         edge += away * np.minimum(1.0, share * self.radii[:, None] / np.maximum(length, 1e-12))

@@ -1,4 +1,7 @@
-"""A scene: static and moving obstacles, and regions where hands are expected to go (Eq. 7)."""
+"""A scene: static and moving obstacles, and regions where hands are expected to go (Eq. 7); and its YAML file.
+
+The file is read strictly: a misspelt entry is an error, not a missing obstacle.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,24 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from kinecast.errors import OptionError
-from kinecast.geometry.distances import ROW, arms_are_free, scene_distances, segment_distances
-from kinecast.geometry.entries import read_text
-from kinecast.geometry.motion import MovingObstacle
+from kinecast.errors import DatasetError, OptionError
+from kinecast.geometry.distances import ROW, limb_distances
+from kinecast.geometry.entries import Entry, built, parse_yaml, read_text
 from kinecast.geometry.regions import Regions
-from kinecast.geometry.scene_file import NO_GOAL, parse_scene
-from kinecast.geometry.shapes import Box, Shape, Sphere
+from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Shape, Sphere, Waypoints
+from kinecast.geometry.transforms import from_quaternion, rotation_z
 
-__all__ = ["Scene"]
+MAXIMUM_ENTRIES = 1000
+
+TABLE_THICKNESS = 0.04
+"""Of a table top with an extent [m]; office and workshop tables have 20 to 50 mm."""
+
+NO_GOAL = "none"
+"""What predictions say of a hand that heads for none of the goals; no goal may have this name."""
+RESERVED = f"a goal cannot be named {NO_GOAL!r}: predictions say that of a hand that heads for no goal"
+
+LIMBS = np.array([[0, 1], [1, 2], [3, 4], [4, 5]])
+"""Upper arms and forearms among the six arm joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +47,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         if NO_GOAL in self.goals:
-            raise OptionError(
-                f"a goal cannot be named {NO_GOAL!r}: predictions say that of a hand that heads for no goal"
-            )
+            raise OptionError(RESERVED)
 
     @cached_property
     def regions(self) -> Regions:
@@ -46,7 +56,7 @@ class Scene:
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
-        """Read a YAML scene file; docs and an example: `kinecast/data/example_scene.yaml`.
+        """Read a YAML scene file; an example of every entry: `kinecast/data/example_scene.yaml`.
 
         Raises:
             DatasetError: names the file, the entry, what was found and what is allowed.
@@ -64,8 +74,19 @@ class Scene:
         Raises:
             DatasetError: names the entry, what was found and what is allowed.
         """
-        obstacles, goals = parse_scene(text, where)
-        return cls(obstacles, goals)
+        root = Entry(where, "", parse_yaml(text, where), ("table", *_OBSTACLES, "goals"))
+        obstacles: list[Shape | MovingObstacle] = []
+        if "table" in root.values:
+            obstacles.append(built(root.child("table", root.values["table"]), _table))
+        for key, build in _OBSTACLES.items():
+            obstacles += [built(entry, build) for entry in root.children(key)]
+        named = root.named_children("goals")
+        if NO_GOAL in named:
+            raise named[NO_GOAL].error(RESERVED)
+        goals = {name: built(entry, _goal) for name, entry in named.items()}
+        if len(obstacles) + len(goals) > MAXIMUM_ENTRIES:
+            raise DatasetError(where, f"{len(obstacles) + len(goals)} entries, at most {MAXIMUM_ENTRIES}")
+        return cls(tuple(obstacles), goals)
 
     def rows(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T O 17"]:
         """(T, O, ROW) every obstacle at every time [s], for compiled code (kinecast.geometry.distances)."""
@@ -85,20 +106,26 @@ class Scene:
         Returns:
             (…, T, J) [m], > 0 free, negative inside; inf without obstacles, NaN where a coordinate is NaN.
         """
-        flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, *points.shape[-3:])
-        distances: Float[np.ndarray, "S T J"] = scene_distances(self.rows(times), flat)
-        return distances.reshape(points.shape[:-1])
+        return limb_distances(self.rows(times), points, np.arange(points.shape[-2])[:, None].repeat(2, axis=1))
+
+    def clearance(
+        self, poses: Float[np.ndarray, "*batch T 6 3"], times: Float[np.ndarray, " T"]
+    ) -> Float[np.ndarray, "*batch T"]:
+        """(…, T) distance [m] from the nearest limb to the nearest obstacle, > 0 free; inf without obstacles.
+
+        Args:
+            poses: (…, T, 6, 3) positions [m] of the six arm joints (kinecast.body.skeleton.ARM_JOINTS).
+            times: (T,) [s], on the clock of moving obstacles.
+        """
+        return np.asarray(limb_distances(self.rows(times), poses, LIMBS).min(axis=-1))
 
     def free(
-        self,
-        arm_points: Float[np.ndarray, "S T 6 3"],
-        times: Float[np.ndarray, " T"],
-        limb_radius: float = 0.0,
+        self, arm_points: Float[np.ndarray, "S T 6 3"], times: Float[np.ndarray, " T"], limb_radius: float = 0.0
     ) -> Bool[np.ndarray, "S T"]:
         """Whether no joint and no limb of either arm touches an obstacle where it is at each time (Eq. 7).
 
         Args:
-            arm_points: (S, T, 6, 3) positions [m] of the six arm joints (kinecast.body.skeleton.ARM_JOINTS).
+            arm_points: (S, T, 6, 3) positions [m] of the six arm joints.
             times: (T,) [s], on the clock of moving obstacles.
             limb_radius: thickness of upper arms and forearms around their centre lines [m].
 
@@ -110,24 +137,86 @@ class Scene:
         """
         if not 0 <= limb_radius < np.inf:
             raise OptionError(f"limb_radius {limb_radius} m must be 0 or more")
-        arms = np.ascontiguousarray(arm_points, dtype=np.float64)
-        result: Bool[np.ndarray, "S T"] = arms_are_free(self.rows(times), arms, float(limb_radius))
-        return result
+        beyond = float(np.nextafter(limb_radius, np.inf))  # how much farther does not matter
+        distances = limb_distances(self.rows(times), arm_points, LIMBS, beyond)
+        return np.asarray((distances > limb_radius).all(axis=-1))
 
-    def clearance(
-        self, poses: Float[np.ndarray, "*batch T 6 3"], times: Float[np.ndarray, " T"]
-    ) -> Float[np.ndarray, "*batch T"]:
-        """(…, T) distance [m] from the nearest limb to the nearest obstacle, > 0 free; inf without obstacles.
 
-        Args:
-            poses: (…, T, 6, 3) positions [m] of the six arm joints.
-            times: (T,) [s], on the clock of moving obstacles.
-        """
-        starts, ends = poses[..., [0, 1, 3, 4], :], poses[..., [1, 2, 4, 5], :]
-        nearest = np.full(poses.shape[:-2], np.inf)
-        for step, rows in enumerate(self.rows(times)):
-            start, end = starts[..., step, :, :], ends[..., step, :, :]
-            for row in rows:
-                limbs = segment_distances(row, start.reshape(-1, 3), end.reshape(-1, 3)).reshape(*start.shape[:-1])
-                nearest[..., step] = np.minimum(nearest[..., step], limbs.min(axis=-1))
-        return nearest
+def _table(entry: Entry) -> Shape:
+    """A plane by point and normal, an endless plane by height, or a slab by height, center and extent."""
+    if "point" in entry.values or "normal" in entry.values:
+        return _plane(entry)
+    entry.only("height", "center", "extent", "thickness")
+    height = entry.number("height", "m")
+    if "extent" not in entry.values:
+        entry.only("height")
+        return HalfSpace(np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]))
+    extent, center = entry.vector("extent", 2, "m"), entry.vector("center", 2, "m")
+    thickness = entry.number("thickness", "m") if "thickness" in entry.values else TABLE_THICKNESS
+    return Box(np.array([*center, height - thickness / 2]), np.array([*extent, thickness]))
+
+
+def _plane(entry: Entry) -> Shape:
+    entry.only("point", "normal")
+    return HalfSpace(entry.vector("point", 3, "m"), entry.vector("normal", 3, ""))
+
+
+def _box(entry: Entry) -> Shape | MovingObstacle:
+    entry.only("center", "size", "yaw_degrees", "quaternion", "velocity", "waypoints")
+    center, path = _center(entry)
+    return _moving(entry, Box(center, entry.vector("size", 3, "m"), _rotation(entry)), path)
+
+
+def _sphere(entry: Entry) -> Shape | MovingObstacle:
+    entry.only("center", "radius", "velocity", "waypoints")
+    center, path = _center(entry)
+    return _moving(entry, Sphere(center, entry.number("radius", "m")), path)
+
+
+def _capsule(entry: Entry) -> Shape | MovingObstacle:
+    entry.only("start", "end", "radius", "velocity")
+    capsule = Capsule(entry.vector("start", 3, "m"), entry.vector("end", 3, "m"), entry.number("radius", "m"))
+    return _moving(entry, capsule)
+
+
+_OBSTACLES = {"planes": _plane, "boxes": _box, "spheres": _sphere, "capsules": _capsule}
+
+
+def _goal(entry: Entry) -> Sphere | Box:
+    """A region: a sphere if it has a radius, else a box."""
+    if "radius" in entry.values:
+        entry.only("center", "radius")
+        return Sphere(entry.vector("center", 3, "m"), entry.number("radius", "m"))
+    entry.only("center", "size", "yaw_degrees", "quaternion")
+    return Box(entry.vector("center", 3, "m"), entry.vector("size", 3, "m"), _rotation(entry))
+
+
+def _center(entry: Entry) -> tuple[Float[np.ndarray, " 3"], Waypoints | None]:
+    """Where a shape is at first, and its way from there if that is given point by point."""
+    if "waypoints" not in entry.values:
+        return entry.vector("center", 3, "m"), None
+    for key in ("center", "velocity"):
+        if key in entry.values:
+            raise entry.error(f"`{key}` and `waypoints` exclude each other: the waypoints say where it is", key)
+    points = entry.children("waypoints")
+    for point in points:
+        point.only("time", "position")
+    times = np.array([point.number("time", "s", limit=1e12) for point in points])  # epoch stamps fit
+    path = Waypoints(times, np.array([point.vector("position", 3, "m") for point in points]).reshape(-1, 3))
+    return path.positions[0], path
+
+
+def _moving(entry: Entry, shape: Shape, path: Waypoints | None = None) -> Shape | MovingObstacle:
+    if "velocity" in entry.values:
+        return MovingObstacle(shape, ConstantVelocity(entry.vector("velocity", 3, "m/s")))
+    return shape if path is None else MovingObstacle(shape, path)
+
+
+def _rotation(entry: Entry) -> Float[np.ndarray, "3 3"]:
+    if "quaternion" in entry.values:
+        if "yaw_degrees" in entry.values:
+            raise entry.error("`yaw_degrees` and `quaternion` exclude each other", "quaternion")
+        return from_quaternion(entry.vector("quaternion", 4, "w, x, y, z"))
+    if "yaw_degrees" in entry.values:
+        return rotation_z(np.radians(entry.number("yaw_degrees", "degrees", limit=360.0)))
+    return np.eye(3)

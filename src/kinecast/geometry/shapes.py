@@ -1,17 +1,16 @@
-"""Obstacle shapes and their signed distances: > 0 is free, exact outside and inside."""
+"""Obstacles: shapes with exact signed distances, > 0 is free, and shapes that move."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
-from kinecast.geometry.distances import HALF_SPACE, ROUNDED_BOX, ROW, point_distances, segment_distances
-
-__all__ = ["Box", "Capsule", "HalfSpace", "Shape", "Sphere"]
+from kinecast.geometry.distances import HALF_SPACE, ROUNDED_BOX, ROW, limb_distances
 
 ORTHONORMAL = 1e-6
 """How far RᵀR may be from the identity: matrices typed with seven digits pass."""
@@ -25,27 +24,13 @@ class Shape(ABC):
     def row(self) -> Float[np.ndarray, " 17"]:
         """The shape as one row of floats (kinecast.geometry.distances)."""
 
-    @property
-    @abstractmethod
-    def origin(self) -> Float[np.ndarray, " 3"]:
-        """(3,) the point [m] that moves when the shape does: its centre, or the point of a half-space."""
-
     def rows(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 17"]:
         """(T, ROW) the shape at each time [s]: it stays where it is."""
         return np.tile(self.row, (len(times), 1))
 
     def signed_distance(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
-        """Distance [m] to the surface, negative inside, exact on both sides.
-
-        Args:
-            points: (…, 3) [m].
-
-        Returns:
-            (…) [m]; NaN where a coordinate is NaN.
-        """
-        flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
-        distances: Float[np.ndarray, " N"] = point_distances(self.row, flat)
-        return distances.reshape(points.shape[:-1])
+        """Distance (…) [m] of points (…, 3) to the surface, negative inside; NaN where a coordinate is NaN."""
+        return self.segment_distance(points, points)
 
     def segment_distance(
         self, start: Float[np.ndarray, "*batch 3"], end: Float[np.ndarray, "*batch 3"]
@@ -53,9 +38,7 @@ class Shape(ABC):
         """Least signed distance [m] over the points of a limb's centre line, exact for every shape.
 
         For a limb outside this is its distance to the shape; for one that touches, minus the depth of its
-        deepest point. A limb with radius r touches where the result is ≤ r: subtract r. The minimum is
-        found in closed form, also for a box: the squared distance is convex along the segment and quadratic
-        between the planes of the faces.
+        deepest point. A limb with radius r touches where the result is ≤ r: subtract r.
 
         Args:
             start, end: (…, 3) ends of the limbs [m]; they may coincide.
@@ -63,10 +46,8 @@ class Shape(ABC):
         Returns:
             (…) [m]; NaN where a coordinate is NaN.
         """
-        starts = np.ascontiguousarray(start, dtype=np.float64).reshape(-1, 3)
-        ends = np.ascontiguousarray(end, dtype=np.float64).reshape(-1, 3)
-        distances: Float[np.ndarray, " N"] = segment_distances(self.row, starts, ends)
-        return distances.reshape(start.shape[:-1])
+        ends = np.stack([start, end], axis=-2)[..., None, :, :]
+        return limb_distances(self.row[None, None], ends, np.array([[0, 1]]))[..., 0, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +71,7 @@ class HalfSpace(Shape):
 
     @property
     def row(self) -> Float[np.ndarray, " 17"]:
-        row = np.zeros(ROW)
-        row[0] = HALF_SPACE
-        row[1:4] = self.point
-        row[4:7] = self.normal
-        return row
-
-    @property
-    def origin(self) -> Float[np.ndarray, " 3"]:
-        return self.point
+        return np.concatenate([[HALF_SPACE], self.point, self.normal, np.zeros(ROW - 7)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,19 +103,10 @@ class Box(Shape):
     def row(self) -> Float[np.ndarray, " 17"]:
         return _rounded_box(self.center, self.rotation, self.size / 2, 0.0)
 
-    @property
-    def origin(self) -> Float[np.ndarray, " 3"]:
-        return self.center
-
 
 @dataclass(frozen=True, eq=False)
 class Sphere(Shape):
-    """A ball.
-
-    Attributes:
-        center: (3,) [m].
-        radius: [m].
-    """
+    """A ball: center (3,) [m] and radius [m]."""
 
     center: Float[np.ndarray, " 3"]
     radius: float
@@ -154,66 +118,40 @@ class Sphere(Shape):
     def row(self) -> Float[np.ndarray, " 17"]:
         return _rounded_box(self.center, np.eye(3), np.zeros(3), self.radius)
 
-    @property
-    def origin(self) -> Float[np.ndarray, " 3"]:
-        return self.center
-
 
 @dataclass(frozen=True, eq=False)
 class Capsule(Shape):
-    """All points within a radius of a segment: a limb, a tube, a robot link.
-
-    Attributes:
-        start, end: (3,) ends of the axis [m]; they may coincide.
-        radius: [m].
-    """
+    """All points within a radius [m] of the segment from start to end, (3,) [m]: a limb, a tube, a robot link."""
 
     start: Float[np.ndarray, " 3"]
     end: Float[np.ndarray, " 3"]
     radius: float
 
     def __post_init__(self) -> None:
-        _freeze(
-            self,
-            start=_vector("capsule start", self.start),
-            end=_vector("capsule end", self.end),
-            radius=_radius("capsule", self.radius),
-        )
+        start, end = _vector("capsule start", self.start), _vector("capsule end", self.end)
+        _freeze(self, start=start, end=end, radius=_radius("capsule", self.radius))
 
     @property
     def row(self) -> Float[np.ndarray, " 17"]:
         axis = self.end - self.start
         length = float(np.linalg.norm(axis))
-        return _rounded_box(self.origin, _frame_along(axis), np.array([0.0, 0.0, length / 2]), self.radius)
-
-    @property
-    def origin(self) -> Float[np.ndarray, " 3"]:
-        return 0.5 * self.start + 0.5 * self.end
+        rotation = np.eye(3)
+        if length > 0.0:
+            z = axis / length
+            x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+            x /= np.linalg.norm(x)
+            rotation = np.column_stack([x, np.cross(z, x), z])
+        return _rounded_box(0.5 * (self.start + self.end), rotation, np.array([0.0, 0.0, length / 2]), self.radius)
 
 
 def _rounded_box(
-    center: Float[np.ndarray, " 3"],
-    rotation: Float[np.ndarray, "3 3"],
-    half_extents: Float[np.ndarray, " 3"],
-    radius: float,
+    center: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"], half: Float[np.ndarray, " 3"], radius: float
 ) -> Float[np.ndarray, " 17"]:
-    """The row of a box with its surface moved outwards."""
-    return np.concatenate([[ROUNDED_BOX], center, rotation.ravel(), half_extents, [radius]])
+    return np.concatenate([[ROUNDED_BOX], center, rotation.ravel(), half, [radius]])
 
 
-def _frame_along(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """A rotation whose z axis points along a vector; the identity for a vector without length."""
-    length = float(np.linalg.norm(axis))
-    if length == 0.0:
-        return np.eye(3)
-    z = axis / length
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
-
-
-def _freeze(shape: Shape, **values: np.ndarray | float) -> None:
-    """Store checked values in a frozen shape, arrays read-only."""
+def _freeze(shape: object, **values: np.ndarray | float) -> None:
+    """Store checked values in a frozen shape or motion, arrays read-only."""
     for name, value in values.items():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
@@ -221,7 +159,6 @@ def _freeze(shape: Shape, **values: np.ndarray | float) -> None:
 
 
 def _vector(what: str, value: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """A checked copy of a 3-vector."""
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise OptionError(f"{what} {vector.tolist()} must be three finite numbers")
@@ -229,7 +166,65 @@ def _vector(what: str, value: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"
 
 
 def _radius(what: str, value: float) -> float:
-    """A checked radius."""
     if not (np.isfinite(value) and value > 0):
         raise OptionError(f"{what} radius {value} m must be above 0")
     return float(value)
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantVelocity:
+    """x(t) = x0 + v (t − since): velocity v (3,) [m/s], and the time `since` [s] of the place x0 it was defined at."""
+
+    velocity: Float[np.ndarray, " 3"]
+    since: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.since):
+            raise OptionError(f"since {self.since} s must be finite")
+        _freeze(self, velocity=_vector("velocity", self.velocity))
+
+    def centers(self, start: Float[np.ndarray, " 3"], times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
+        """(T, 3) places [m] at times [s] of what was defined at `start`."""
+        return start + self.velocity * (times - self.since)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Straight from one position (K, 3) [m] to the next, at increasing times (K,) [s]; at rest before and after."""
+
+    times: Float[np.ndarray, " K"]
+    positions: Float[np.ndarray, "K 3"]
+
+    def __post_init__(self) -> None:
+        times, positions = np.array(self.times, dtype=np.float64), np.array(self.positions, dtype=np.float64)
+        if times.ndim != 1 or positions.shape != (len(times), 3) or len(times) == 0:
+            raise OptionError(
+                f"waypoints: {positions.shape} positions for {times.shape} times, expected (K, 3) for (K,)"
+            )
+        if not (np.all(np.isfinite(times)) and np.all(np.isfinite(positions))):
+            raise OptionError("waypoints: times and positions must be finite")
+        if not np.all(np.diff(times) > 0):
+            raise OptionError(f"waypoints: times must increase, found {times.tolist()} s")
+        _freeze(self, times=times, positions=positions)
+
+    def centers(self, _start: Float[np.ndarray, " 3"], times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
+        """(T, 3) places [m] at times [s], wherever the shape was defined."""
+        return np.stack([np.interp(times, self.times, axis) for axis in self.positions.T], axis=-1)
+
+
+Motion: TypeAlias = ConstantVelocity | Waypoints
+"""Where the center of a shape is over time (of a half-space, its point)."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovingObstacle:
+    """A shape as it is when its motion starts, carried along without turning."""
+
+    shape: Shape
+    motion: Motion
+
+    def rows(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 17"]:
+        """(T, ROW) the shape at each time [s] (kinecast.geometry.distances)."""
+        rows = self.shape.rows(times)
+        rows[:, 1:4] = self.motion.centers(rows[0, 1:4], times) if len(times) else rows[:, 1:4]
+        return rows

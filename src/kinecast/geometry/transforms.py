@@ -16,32 +16,11 @@ from kinecast.errors import OptionError
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-__all__ = [
-    "apply",
-    "from_quaternion",
-    "from_rotation_vector",
-    "inverse",
-    "rotation_vector",
-    "rotation_x",
-    "rotation_y",
-    "rotation_z",
-    "to_quaternion",
-    "transform",
-]
-
 
 def transform(
     rotation: Float[np.ndarray, "*batch 3 3"], translation: Float[np.ndarray, "*batch 3"]
 ) -> Float[np.ndarray, "*batch 4 4"]:
-    """T = [R t; 0 1].
-
-    Args:
-        rotation: (…, 3, 3) rotation matrices.
-        translation: (…, 3) [m].
-
-    Returns:
-        (…, 4, 4) transforms.
-    """
+    """T = [R t; 0 1] of (…, 3, 3) rotation matrices and (…, 3) translations [m]."""
     T = np.zeros((*translation.shape[:-1], 4, 4))
     T[..., :3, :3] = rotation
     T[..., :3, 3] = translation
@@ -56,18 +35,18 @@ def inverse(T: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4
 
 
 def apply(T: Float[np.ndarray, "*#batch 4 4"], points: Float[np.ndarray, "*#batch 3"]) -> Float[np.ndarray, "... 3"]:
-    """p' = R p + t.
+    """p' = R p + t for points (…, 3) [m].
 
-    Args:
-        T: (…, 4, 4) transforms; their leading axes broadcast against those of the points, so that one
-            transform per time step for (T, J, 3) points is `transforms[:, None]`.
-        points: (…, 3) [m].
-
-    Returns:
-        (…, 3) [m].
+    Leading axes broadcast: one transform per time step for (T, J, 3) points is `transforms[:, None]`.
     """
-    moved: Float[np.ndarray, "... 3"] = np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3]
-    return moved
+    return np.asarray(np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3])
+
+
+def transformed(
+    points: Float[np.ndarray, "*batch 3"], rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "*batch 3"]:
+    """p' = R p + s for points (…, 3) [m], all by the same rotation and shift."""
+    return np.asarray(points @ rotation.T + shift)
 
 
 def rotation_x(angle: Float[np.ndarray, "*batch"] | float) -> Float[np.ndarray, "*batch 3 3"]:
@@ -86,7 +65,6 @@ def rotation_z(angle: Float[np.ndarray, "*batch"] | float) -> Float[np.ndarray, 
 
 
 def _about(angle: Float[np.ndarray, "*batch"] | float, axis: int) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation about one coordinate axis."""
     angle = np.asarray(angle, dtype=np.float64)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     R = np.zeros((*angle.shape, 3, 3))
@@ -105,13 +83,7 @@ def _rotations() -> type[Rotation]:
 
 
 def from_quaternion(wxyz: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation matrix of a quaternion.
-
-    Args:
-        wxyz: (…, 4) quaternions w, x, y, z of any length but zero.
-
-    Returns:
-        (…, 3, 3) rotation matrices.
+    """(…, 3, 3) rotation matrices of (…, 4) quaternions w, x, y, z of any length but zero.
 
     Raises:
         OptionError: a quaternion of length zero or with a NaN.
@@ -138,3 +110,13 @@ def rotation_vector(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarr
     """log: (…, 3, 3) rotation matrices to (…, 3) rotation vectors [rad], no longer than π."""
     flat = _rotations().from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
     return flat.reshape(*rotation.shape[:-2], 3)
+
+
+def from_camera(points: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
+    """Camera axes (x right, y down, z forward) to the world's, z up: (x, y, z) → (x, z, −y)."""
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def from_y_up(points: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
+    """Axes with y up (x right, z towards the viewer) to the world's, z up: (x, y, z) → (x, −z, y)."""
+    return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from kinecast.body.skeleton import XSENS_23
 from kinecast.errors import OptionError
-from kinecast.geometry.axes import from_y_up
+from kinecast.geometry.transforms import from_y_up
 from kinecast.live.admission import FORGET, MOST_PERSONS, Admission
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import FARTHEST, MessageError

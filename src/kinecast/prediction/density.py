@@ -20,8 +20,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from kinecast.body.arm_angles import TURN
-from kinecast.body.posture import coordinates_from_postures, postures_from_coordinates, postures_from_points
+from kinecast.body.posture import TURN, coordinates_from_postures, postures_from_coordinates, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.constraint import ConstraintFactor
 from kinecast.prediction.observation import Observation

@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.regions import Regions
-from kinecast.geometry.scene_file import NO_GOAL
+from kinecast.geometry.scene import NO_GOAL
 from kinecast.prediction.observation import Observation
 
 __all__ = ["HANDS", "PATH", "WRISTS", "GoalMixture", "goal_mixture", "goal_probabilities"]

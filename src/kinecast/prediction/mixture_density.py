@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-from kinecast.body.arm_angles import TURN, nearest_turn
 from kinecast.body.limits import JointLimits, bounds, posture_bounds, speeds_within_wrist_speed
-from kinecast.body.posture import other_branch, postures_from_points
+from kinecast.body.posture import TURN, nearest_turn, other_branch, postures_from_points
 from kinecast.prediction.allowance import Allowance
 from kinecast.prediction.density import BLOCKS, block_log_det, combine, fault_log_prob, log_allowed
 from kinecast.prediction.noise import angle_noise

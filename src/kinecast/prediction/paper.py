@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.body.limits import JointLimits, posture_bounds
-from kinecast.body.placement import placed
-from kinecast.body.posture import coordinates_from_postures, postures_from_points
+from kinecast.body.posture import coordinates_from_postures, postures_from_points, to_world
 from kinecast.errors import ModelError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.allowance import Allowance
@@ -199,7 +198,7 @@ class PostureSeries:
             normals(rng, samples, self.steps, 18), uniforms(rng, samples, self.steps, 8),
             lower, upper, speed, wrist_speed, self.dt,
         )  # fmt: skip
-        points = placed(postures, *observation.frame)
+        points = to_world(postures, *observation.frame)
         centre = points.mean(axis=0)
         mean = observation.to_torso(centre)
         allowance = None

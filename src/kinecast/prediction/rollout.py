@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit, prange
 
-from kinecast.body.arm_angles import nearest_turn
 from kinecast.body.elementary import arctangent, sine_cosine
 from kinecast.body.limits import bounds, speeds_within_wrist_speed
+from kinecast.body.posture import nearest_turn
 from kinecast.prediction.lanes import LANES, Tiles, lane_memory, next_values, tiled
 from kinecast.prediction.series import SeriesStack
 from kinecast.prediction.truncated_normal import keep_or_redraw, sample

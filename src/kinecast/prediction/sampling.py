@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numba import njit
 
-from kinecast.body.arm_angles import nearest_turn
 from kinecast.body.limits import JointLimits, bounds
-from kinecast.body.posture import ANGLES, LENGTHS, postures_from_points
+from kinecast.body.posture import ANGLES, LENGTHS, nearest_turn, postures_from_points
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.truncated_normal import sample

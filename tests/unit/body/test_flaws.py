@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinecast.body.flaws import Flaw, TrackingLimits, find_flaws, repeated_frames
+from kinecast.body.tracking import Flaw, TrackingLimits, find_flaws
 from kinecast.errors import OptionError
 
 
@@ -84,10 +84,12 @@ def test_a_frame_repeats_only_if_every_joint_does() -> None:
     positions[2] = positions[1]
     positions[4, 0] = positions[3, 0]
     positions[5] = np.nan
-    np.testing.assert_array_equal(repeated_frames(positions), [False, False, True, False, False, False])
+    stamps = np.arange(6) / 30.0
+    repeated = np.argwhere(find_flaws(positions, stamps) == Flaw.REPEATED)
+    np.testing.assert_array_equal(repeated, [[2, 0], [2, 1]])
     positions[1:3, 0] = np.nan
-    assert repeated_frames(positions)[2], "missing in both, same otherwise"
-    assert not repeated_frames(np.full((4, 2, 3), np.nan)).any()
+    assert find_flaws(positions, stamps)[2].tolist() == [Flaw.MISSING, Flaw.REPEATED], "missing in both, same otherwise"
+    assert (find_flaws(np.full((4, 2, 3), np.nan), stamps[:4]) == Flaw.MISSING).all()
 
 
 def test_uneven_stamps_are_taken_as_they_are() -> None:

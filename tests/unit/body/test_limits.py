@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinecast.body.arm import jacobian
-from kinecast.body.arm_angles import USUAL_RANGE
 from kinecast.body.limits import AngleLimit, JointLimits, bounds, speeds_within_wrist_speed, violations
-from kinecast.body.posture import LEFT_ARM, RIGHT_ARM, postures_from_points
+from kinecast.body.posture import LEFT_ARM, RIGHT_ARM, USUAL_RANGE, postures_from_points
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.body.torso_frame import UpSource, torso_frame
 from kinecast.errors import OptionError
@@ -110,23 +109,21 @@ def test_impossible_limits_are_refused_by_name_and_value(wrong: dict[str, object
         replace(JointLimits(), **wrong)  # type: ignore[arg-type]
 
 
-def test_widened_ranges_hold_the_share_asked_for_and_never_shrink() -> None:
+def test_widened_ranges_hold_nearly_all_postures_and_never_shrink() -> None:
     postures = np.tile(person(), (1001, 1))
     postures[:, 6] = np.linspace(-2.0, 0.0, 1001)  # the left arm reaches far behind
     postures[:, 14] = 3.0  # means nothing: the right elbow is straight
     postures[:, 15] = 0.01
     postures[500] = np.nan
     before = JointLimits()
-    after = before.widened(postures, share=0.99)
-    assert after.flexion.lower == pytest.approx(-1.99, abs=2e-3)
+    after = before.widened(postures)
+    assert after.flexion.lower == pytest.approx(-1.998, abs=2e-4)
     assert (after.flexion.upper, after.flexion.speed) == (before.flexion.upper, before.flexion.speed)
     assert (after.abduction, after.axial_rotation, after.elbow) == (
         before.abduction, before.axial_rotation, before.elbow,
     )  # fmt: skip
     assert before.widened(postures[500:501]) == before
     assert before.widened(postures[:0]) == before
-    with pytest.raises(OptionError, match=r"share 0\.0"):
-        before.widened(postures, share=0.0)
 
 
 @pytest.mark.parametrize(
@@ -254,12 +251,14 @@ def test_nan_violates_nothing() -> None:
 @pytest.mark.parametrize(
     "theta", [(0.3, 0.2, -0.4, 1.0), (1.9, -0.5, 0.9, 2.2), (-0.6, 1.4, -1.5, 0.3), (0.1, 2.2, 0.5, 1.1)]
 )
-def test_wrist_speed_is_carried_through_the_jacobian(theta: tuple[float, float, float, float]) -> None:
+def test_wrist_speed_is_carried_through_the_jacobian(
+    theta: tuple[float, float, float, float], denavit_hartenberg: Callable
+) -> None:
     posture = person(theta)
     out = np.empty(18)
     speeds_within_wrist_speed(posture, np.full(18, 1e9), 1.5, out)
     for arm, side in ((LEFT_ARM, 1.0), (RIGHT_ARM, -1.0)):
-        J = jacobian(np.array(theta), posture[10:12], side)[1]
+        J = denavit_hartenberg(np.array([theta]), posture[10:12], side)[1][0]
         np.testing.assert_allclose(out[arm], 1.5 / np.linalg.norm(J, axis=0), rtol=1e-12)
 
 

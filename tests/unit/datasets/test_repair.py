@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinecast.body.flaws import Flaw, TrackingLimits
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.body.tracking import Flaw, TrackingLimits
 from kinecast.datasets.loading import load
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import RepairOptions, repair, spans

@@ -17,9 +17,8 @@ from kinecast.evaluation.animations import animate_motion, animate_prediction
 from kinecast.evaluation.palette import RED
 from kinecast.evaluation.pictures import Moment, draw_prediction, perspective
 from kinecast.evaluation.scenery import OBSTACLE, Camera, draw_obstacles
-from kinecast.geometry.motion import ConstantVelocity, MovingObstacle
 from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Sphere
 
 UP = np.array([0.0, 0.0, 1.0])
 TABLE = HalfSpace(np.array([0.0, 0.0, 0.9]), UP)

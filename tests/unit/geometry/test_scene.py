@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.geometry.motion import ConstantVelocity, MovingObstacle, Waypoints
 from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Sphere, Waypoints
 from kinecast.geometry.transforms import from_rotation_vector
 
 LIMBS = np.array([(0, 1), (1, 2), (3, 4), (4, 5)])

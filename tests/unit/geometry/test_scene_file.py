@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from kinecast.errors import DatasetError
-from kinecast.geometry.motion import MovingObstacle
 from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from kinecast.geometry.shapes import Box, Capsule, HalfSpace, MovingObstacle, Sphere
 
 
 def test_the_shipped_example_holds_every_kind_of_entry() -> None:

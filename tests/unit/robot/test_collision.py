@@ -8,9 +8,8 @@ import coal
 import numpy as np
 import pytest
 
-from kinecast.geometry.motion import ConstantVelocity, MovingObstacle
 from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Sphere
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.distances import nearest_obstacle, segments_apart
 from kinecast.robot.occupancy import Occupancy
