@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks import machine
 from benchmarks.fusion_views import SLOW, Body, Faults, Image, disturbed, images, rig
 from kinecast.cameras.fusion.fusion import Fusion
-from kinecast.cameras.fusion.sighting import DEEP, FLESH
+from kinecast.cameras.fusion.measurement import DEEP, SKIN_DEPTH
 from kinecast.cameras.rig import Rig
 from kinecast.datasets.loading import load
 from kinecast.types import SkeletonFrame
@@ -327,7 +327,7 @@ def _average(known: Rig, seen: Sequence[Image], body: Body) -> tuple[list[Shown]
     newest: dict[str, np.ndarray] = {}
     shown, rounds = [], 0
     hidden = np.zeros(len(body.joints), bool)
-    flesh = np.array([FLESH[joint.removeprefix("left_").removeprefix("right_")] for joint in body.joints])
+    flesh = np.array([SKIN_DEPTH[joint.removeprefix("left_").removeprefix("right_")] for joint in body.joints])
     for image in seen:
         if image.camera == "left":
             hidden = image.hidden[0]

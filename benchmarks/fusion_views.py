@@ -22,11 +22,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.geometry.transforms import from_rotation_vector, transform
 from kinecast.live.clock import SourceClock
-from kinecast.live.detection import View
+from kinecast.live.detection import Detection
 
 COCO_SIGMA = {"shoulder": 0.079, "elbow": 0.072, "wrist": 0.062, "hip": 0.107}
 OTHER_SIGMA = 0.079
@@ -109,7 +109,7 @@ class Image:
     taken: float
     stamp: float
     arrived: float
-    views: tuple[View, ...]
+    views: tuple[Detection, ...]
     hidden: tuple[np.ndarray, ...]
 
 
@@ -216,7 +216,7 @@ def _look(
     panel: _Panel,
     taken: float,
     rng: np.random.Generator,
-) -> tuple[View, np.ndarray]:
+) -> tuple[Detection, np.ndarray]:
     eye = camera.T_world_camera[:3, 3]
     exact, _ = camera.project(points[own])
     i = camera.intrinsics
@@ -242,7 +242,7 @@ def _look(
     lost = (rng.random(len(joints)) < faults.lost) | ~inside | (behind & (rng.random(len(joints)) < 0.5))
     pixels[lost] = np.nan
     surface[lost] = np.nan
-    view = View(taken, camera.name, joints, pixels, std, surface, DEPTH_STD * surface**2, confidence)
+    view = Detection(taken, camera.name, joints, pixels, std, surface, DEPTH_STD * surface**2, confidence)
     return view, behind
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.entries import Entry, built, parse_yaml, read_text
 from kinecast.geometry.transforms import from_quaternion, to_quaternion, transform

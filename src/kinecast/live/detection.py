@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-__all__ = ["LEAST_CONFIDENCE", "Deliver", "View"]
-
 LEAST_CONFIDENCE = 0.3
 """Below it a joint is not taken as seen: the threshold from which mmpose draws one by default."""
 
 
 @dataclass(frozen=True)
-class View:
+class Detection:
     """One person's joints in one image.
 
     Attributes:
@@ -47,5 +45,5 @@ class View:
         return np.isfinite(self.pixels).all(axis=-1)
 
 
-Deliver = Callable[[float, Sequence[View], float], None]
+DetectionHandler = Callable[[float, Sequence[Detection], float], None]
 """Takes one image: its stamp [s], everybody in it, when it was acquired [s] on `time.monotonic`."""

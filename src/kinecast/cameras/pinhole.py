@@ -12,14 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
-from kinecast.geometry.transforms import apply, inverse
-
-__all__ = ["Intrinsics", "PinholeCamera"]
+from kinecast.geometry.transforms import apply, inverse, transform
 
 NEAREST = 1e-3
 """Points nearer to the camera's plane [m], or behind it, have no pixel."""
-STEPS = 20
-SETTLED = 1e-9
+MOST_STEPS, CONVERGED = 20, 1e-9
 """Of undistorted coordinates: a thousandth of a thousandth of a pixel."""
 
 
@@ -71,52 +68,45 @@ class Intrinsics:
             return seen
         with np.errstate(all="ignore"):  # what diverges is NaN in the end
             found = seen.copy()
-            for _ in range(STEPS):
-                (a, b), (c, d) = np.moveaxis(self._slope(found), (-2, -1), (0, 1))
+            for _ in range(MOST_STEPS):
+                (a, b), (c, d) = np.moveaxis(self._distortion_jacobian(found), (-2, -1), (0, 1))
                 ex, ey = np.moveaxis(seen - self._distorted(found), -1, 0)
                 step = np.stack([d * ex - b * ey, a * ey - c * ex], axis=-1) / (a * d - b * c)[..., None]
                 found = found + step
-                if not (np.abs(step) > SETTLED).any():
+                if not (np.abs(step) > CONVERGED).any():
                     break
-            found[~(np.abs(self._distorted(found) - seen) < 1e3 * SETTLED).all(axis=-1)] = np.nan
+            found[~(np.abs(self._distorted(found) - seen) < 1e3 * CONVERGED).all(axis=-1)] = np.nan
         return found
 
-    def pixel_slope(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
+    def jacobian(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
         """(…, 2, 2) ∂pixel/∂direction."""
-        return self._slope(directions) * np.array([[self.fx], [self.fy]])
-
-    @cached_property
-    def _coefficients(self) -> tuple[float, ...]:
-        return (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        return self._distortion_jacobian(directions) * np.array([[self.fx], [self.fy]])
 
     def _distorted(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
         if not any(self.distortion):
             return directions
-        _, _, p1, p2, *_ = self._coefficients
-        x, y = directions[..., 0], directions[..., 1]
-        r2 = x * x + y * y
+        x, y = np.moveaxis(directions, -1, 0)
+        r2, (p1, p2) = x * x + y * y, self.distortion[2:4]
         radial, _ = self._radial(r2)
-        return np.stack(
-            [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
-            axis=-1,
-        )
+        u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([u, v], axis=-1)
 
-    def _slope(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
-        _, _, p1, p2, *_ = self._coefficients
-        x, y = directions[..., 0], directions[..., 1]
+    def _distortion_jacobian(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
+        x, y = np.moveaxis(directions, -1, 0)
+        p1, p2 = self.distortion[2:4] or (0.0, 0.0)
         radial, slope = self._radial(x * x + y * y)
-        across = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-        along_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-        along_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        return np.stack([np.stack([along_x, across], axis=-1), np.stack([across, along_y], axis=-1)], axis=-2)
+        J = np.empty((*x.shape, 2, 2))
+        J[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        J[..., 0, 1] = J[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        J[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        return J
 
     def _radial(self, r2: Float[np.ndarray, "*b"]) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
         """(1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), and its derivative by r²."""
-        k1, k2, _, _, k3, k4, k5, k6 = self._coefficients
-        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        rise = k1 + r2 * (2 * k2 + 3 * r2 * k3)
-        fall = k4 + r2 * (2 * k5 + 3 * r2 * k6)
+        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        above, below = (1 + r2 * (a + r2 * (b + r2 * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+        rise, fall = (a + r2 * (2 * b + 3 * r2 * c) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
         return above / below, (rise * below - above * fall) / (below * below)
 
 
@@ -158,27 +148,12 @@ class PinholeCamera:
         self, pixels: Float[np.ndarray, "*b 2"], depth: Float[np.ndarray, "*b"]
     ) -> Float[np.ndarray, "*b 3"]:
         """(…, 3) points in the world [m] seen at pixels (…, 2) at depths (…) [m]."""
-        directions = self.intrinsics.directions(pixels)
-        local = np.concatenate([directions, np.ones((*directions.shape[:-1], 1))], axis=-1) * depth[..., None]
-        return apply(self.T_world_camera, local)
+        return apply(self.T_world_camera, _homogeneous(self.intrinsics.directions(pixels)) * depth[..., None])
 
     def rays(self, pixels: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 3"]:
         """(…, 3) unit vectors in the world from the camera (`T_world_camera[:3, 3]`) towards what is at pixels."""
-        directions = self.intrinsics.directions(pixels)
-        local = np.concatenate([directions, np.ones((*directions.shape[:-1], 1))], axis=-1)
-        ahead = local @ self.T_world_camera[:3, :3].T
+        ahead = _homogeneous(self.intrinsics.directions(pixels)) @ self.T_world_camera[:3, :3].T
         return ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
-
-    def jacobian(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3 3"]:
-        """(…, 3, 3) ∂(u, v, depth)/∂point [px/m, px/m, 1] at points (…, 3) in the world in front of the camera."""
-        x, y, z = np.moveaxis(apply(self.T_camera_world, points), -1, 0)
-        rows = np.zeros((*z.shape, 3, 3))
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            rows[..., 0, 0] = rows[..., 1, 1] = 1 / z
-            rows[..., 0, 2], rows[..., 1, 2] = -x / z**2, -y / z**2
-            rows[..., 2, 2] = 1.0
-            rows[..., :2, :] = self.intrinsics.pixel_slope(np.stack([x / z, y / z], axis=-1)) @ rows[..., :2, :]
-        return rows @ self.T_camera_world[:3, :3]
 
     def covariance(
         self,
@@ -186,7 +161,7 @@ class PinholeCamera:
         pixel_std: Float[np.ndarray, "*b"],
         depth_std: Float[np.ndarray, "*b"],
     ) -> Float[np.ndarray, "*b 3 3"]:
-        """(…, 3, 3) covariance J⁻¹ diag(σ_px², σ_px², σ_depth²) J⁻ᵀ [m²] of back-projected points in the world.
+        """(…, 3, 3) covariance J diag(σ_px², σ_px², σ_depth²) Jᵀ [m²] of back-projected points in the world.
 
         Args:
             points: (…, 3) what `back_project` gave [m].
@@ -196,7 +171,27 @@ class PinholeCamera:
         Returns:
             NaN where a point is NaN or behind the camera.
         """
-        ahead = apply(self.T_camera_world, points)[..., 2] > NEAREST
-        J = np.where(ahead[..., None, None], self.jacobian(points), np.eye(3))
-        spread = np.linalg.inv(J) * np.stack([pixel_std, pixel_std, depth_std], axis=-1)[..., None, :]
-        return np.where(ahead[..., None, None], spread @ np.swapaxes(spread, -1, -2), np.nan)
+        local = apply(self.T_camera_world, points)
+        z = np.where(local[..., 2] > NEAREST, local[..., 2], np.nan)[..., None]
+        directions = np.where(np.isfinite(z), local[..., :2] / z, 0.0)
+        J = np.zeros((*points.shape, 3))  # ∂point/∂(u, v, depth)
+        J[..., :2, :2] = z[..., None] * np.linalg.inv(self.intrinsics.jacobian(directions))
+        J[..., 2] = _homogeneous(directions)
+        std = np.stack([pixel_std, pixel_std, depth_std], axis=-1)
+        root = self.T_world_camera[:3, :3] @ (J * std[..., None, :])
+        return root @ np.swapaxes(root, -1, -2)
+
+
+def level_pose(height: float = 0.0, tilt: float = 0.0) -> Float[np.ndarray, "4 4"]:
+    """(4, 4) T_world_camera of a camera that is not calibrated: upright, in a world with x to its right and y ahead.
+
+    Args:
+        height: above the world's origin [m].
+        tilt: by how much it looks down [rad].
+    """
+    s, c = np.sin(tilt), np.cos(tilt)
+    return transform(np.array([[1.0, 0.0, 0.0], [0.0, -s, c], [0.0, -c, -s]]), np.array([0.0, 0.0, height]))
+
+
+def _homogeneous(directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 3"]:
+    return np.concatenate([directions, np.ones((*directions.shape[:-1], 1))], axis=-1)

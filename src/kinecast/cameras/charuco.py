@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
 from kinecast.errors import MissingExtraError, OptionError
 
@@ -18,12 +18,9 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("calibration", "camera") from error
 
-__all__ = ["Board", "Corners"]
-
 MARKER = 0.74
 """Side of a marker, of a square's: white around it as wide as one of its own fields."""
-DOTS_PER_INCH = 300
-INCH = 0.0254
+DOTS_PER_METRE = 300 / 0.0254
 MARGIN = 0.01
 """White around the board [m]."""
 LEAST_CORNERS = 6
@@ -43,7 +40,7 @@ class Corners:
 
 
 @dataclass(frozen=True)
-class Board:
+class CharucoBoard:
     """A printed board.
 
     Attributes:
@@ -66,47 +63,42 @@ class Board:
         """Length of the shorter direction [m], with `rows` squares."""
         return self.rows * self.square
 
+    @cached_property
+    def pattern(self) -> Any:
+        """OpenCV's board."""
+        kind = cv2.aruco.DICT_4X4_50 if self.columns * self.rows <= 101 else cv2.aruco.DICT_4X4_250
+        dictionary = cv2.aruco.getPredefinedDictionary(kind)
+        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, MARKER * self.square, dictionary)
+
     def picture(self) -> bytes:
         """A PNG that prints at its true size."""
-        per_square = round(self.square / INCH * DOTS_PER_INCH)
-        margin = round(MARGIN / INCH * DOTS_PER_INCH)
-        inner = self._board.generateImage((self.columns * per_square, self.rows * per_square), marginSize=0)
-        page = np.full((inner.shape[0] + 3 * margin, inner.shape[1] + 2 * margin), 255, np.uint8)
-        page[margin : margin + inner.shape[0], margin : margin + inner.shape[1]] = inner
+        per_square, margin = round(self.square * DOTS_PER_METRE), round(MARGIN * DOTS_PER_METRE)
+        inner = self.pattern.generateImage((self.columns * per_square, self.rows * per_square), marginSize=0)
+        page = np.pad(inner, ((margin, 2 * margin), (margin, margin)), constant_values=255)
         words = f"kinecast {self.columns}x{self.rows}, squares of {1e3 * self.square:g} mm: print at 100 %, keep flat"
         place = (margin, page.shape[0] - margin // 2)
         cv2.putText(page, words, place, cv2.FONT_HERSHEY_SIMPLEX, margin / 90, 0, max(margin // 50, 1), cv2.LINE_AA)
-        return _with_resolution(cv2.imencode(".png", page)[1].tobytes(), per_square / self.square)
+        return _with_resolution(cv2.imencode(".png", page)[1].tobytes(), round(per_square / self.square))
 
     def corners(self, picture: UInt8[np.ndarray, "H W"]) -> Corners | None:
         """The board's inner corners in a grey picture; None where fewer than six are seen, or all in one row."""
         found, ids, _, _ = self._detector.detectBoard(picture)
-        if found is None or ids is None:
+        if found is None or ids is None or len(ids) < LEAST_CORNERS:
             return None
-        which: Int[np.ndarray, " K"] = np.asarray(ids).reshape(-1)
-        points = np.asarray(self._board.getChessboardCorners(), dtype=np.float64).reshape(-1, 3)[which]
-        spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
-        if len(points) < LEAST_CORNERS or spread[-1] < self.square / 2:
+        points = np.asarray(self.pattern.getChessboardCorners(), dtype=np.float64)[np.ravel(ids)]
+        if np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)[-1] < self.square / 2:
             return None
         return Corners(points, np.asarray(found, dtype=np.float64).reshape(-1, 2))
-
-    @cached_property
-    def _board(self) -> Any:
-        markers = (self.columns * self.rows) // 2
-        kind = cv2.aruco.DICT_4X4_50 if markers <= 50 else cv2.aruco.DICT_4X4_250
-        dictionary = cv2.aruco.getPredefinedDictionary(kind)
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, MARKER * self.square, dictionary)
 
     @cached_property
     def _detector(self) -> Any:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        return cv2.aruco.CharucoDetector(self._board, detectorParams=parameters)
+        return cv2.aruco.CharucoDetector(self.pattern, detectorParams=parameters)
 
 
-def _with_resolution(png: bytes, per_metre: float) -> bytes:
+def _with_resolution(png: bytes, per_metre: int) -> bytes:
     """The same PNG with its pHYs chunk, behind the header: viewers print it at that size."""
-    content = b"pHYs" + struct.pack(">IIB", round(per_metre), round(per_metre), 1)
-    chunk = struct.pack(">I", 9) + content + struct.pack(">I", zlib.crc32(content))
+    content = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)
     header = 8 + 25
-    return png[:header] + chunk + png[header:]
+    return png[:header] + struct.pack(">I", 9) + content + struct.pack(">I", zlib.crc32(content)) + png[header:]
