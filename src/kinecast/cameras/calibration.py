@@ -20,22 +20,14 @@ from kinecast.cameras.pinhole import Intrinsics
 from kinecast.errors import DatasetError
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
 
-FEWEST_PICTURES = 6
-"""For the intrinsics of a camera."""
-HUBER = 1.0
-"""Pixels."""
-WRONG = 4.0
-"""A picture whose corners are off by so many times the median picture's is left out, the worst first."""
-WRONG_LEAST = 1.0
-"""But not one that is off by less [px]."""
-ATTEMPTS = 30
-"""All but one of them leave out a picture."""
-STEP = 1e-6
-"""For differences [rad], [m]."""
-NEAREST = 1e-3
-"""Depth of a corner that is behind its camera [m]: far off, and no division by zero."""
-ANGLE_WEIGHT = 1.0
-"""Metres that a radian counts for where transforms are compared."""
+FEWEST_PICTURES = 6  # for the intrinsics of a camera
+HUBER = 1.0  # pixels
+WRONG = 4.0  # a picture whose corners are off by so many times the median picture's is left out, the worst first
+WRONG_LEAST = 1.0  # but not one that is off by less [px]
+ATTEMPTS = 30  # all but one of them leave out a picture
+STEP = 1e-6  # for differences [rad], [m]
+NEAREST = 1e-3  # depth of a corner that is behind its camera [m]: far off, and no division by zero
+ANGLE_WEIGHT = 1.0  # metres that a radian counts for where transforms are compared
 
 Views = Mapping[str, Mapping[str, Corners]]
 """Per camera, per moment, what is seen of the board."""
@@ -44,28 +36,16 @@ Poses = dict[str, Float[np.ndarray, "4 4"]]
 
 @dataclass(frozen=True)
 class Extrinsics:
-    """Where cameras stand.
-
-    Attributes:
-        T_world_camera: per camera.
-        error: per camera the root mean square distance of corners from where they should appear [px].
-        std: per camera the standard deviation of its place [m] and direction [rad] against the first camera.
-        left_out: per camera the moments whose picture was left out.
-    """
+    """Where cameras stand; everything per camera."""
 
     T_world_camera: Poses
-    error: dict[str, float]
-    std: dict[str, tuple[float, float]]
-    left_out: dict[str, list[str]]
+    error: dict[str, float]  # root mean square distance of corners from where they should appear [px]
+    std: dict[str, tuple[float, float]]  # of place [m] and direction [rad] against the first camera
+    left_out: dict[str, list[str]]  # moments whose picture was left out
 
 
 def find_intrinsics(name: str, views: Mapping[str, Corners], size: tuple[int, int]) -> tuple[Intrinsics, float, float]:
-    """A camera's own lens; distortion is k1 and k2.
-
-    Args:
-        name: of the camera, for messages.
-        views: what it sees of the board at each moment.
-        size: width and height of its pictures [px].
+    """The lens of a camera of this name from what it sees in pictures of this size; distortion is k1 and k2.
 
     Returns:
         The lens, the root mean square distance of corners from where they should appear [px], and the standard
@@ -210,9 +190,9 @@ def _adjusted(
     start = np.stack([*(inverse(T) for T in cameras.values()), *boards.values()])[1:]
     x = np.concatenate([rotation_vector(start[:, :3, :3]), start[:, :3, 3]], axis=1).ravel()
     found = least_squares(residuals, x, jacobian, loss="huber", f_scale=HUBER, x_scale="jac")
-    T = poses(found.x)
+    T, J = poses(found.x), np.asarray(found.jac)
     freedom = max(2 * len(points) - len(x), 1)
-    variance = np.diag(np.linalg.pinv(np.asarray(found.jac.T @ found.jac))) * 2 * found.cost / freedom
+    variance = np.diag(np.linalg.pinv(J.T @ J)) * 2 * found.cost / freedom
     std = np.sqrt(np.maximum(variance, 0).reshape(-1, 2, 3).sum(axis=2))[: len(names) - 1]  # turn, shift
     square = (residuals(found.x) ** 2).reshape(-1, 2).sum(axis=1)
     parts = np.split(square, np.cumsum(counts)[:-1])

@@ -18,39 +18,27 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("calibration", "camera") from error
 
-MARKER = 0.74
-"""Side of a marker, of a square's: white around it as wide as one of its own fields."""
+MARKER = 0.74  # side of a marker, of a square's: white around it as wide as one of its own fields
 DOTS_PER_METRE = 300 / 0.0254
-MARGIN = 0.01
-"""White around the board [m]."""
+MARGIN = 0.01  # white around the board [m]
 LEAST_CORNERS = 6
 
 
 @dataclass(frozen=True)
 class Corners:
-    """What is seen of a board in one picture.
+    """What is seen of a board in one picture."""
 
-    Attributes:
-        points: (K, 3) the corners on the board [m]: x to the right, y down, as printed.
-        pixels: (K, 2) where they are seen [px].
-    """
-
-    points: Float[np.ndarray, "K 3"]
-    pixels: Float[np.ndarray, "K 2"]
+    points: Float[np.ndarray, "K 3"]  # on the board [m]: x to the right, y down, as printed
+    pixels: Float[np.ndarray, "K 2"]  # where they are seen [px]
 
 
 @dataclass(frozen=True)
 class CharucoBoard:
-    """A printed board.
+    """A printed board."""
 
-    Attributes:
-        columns, rows: squares along and across, 3 to 20.
-        square: side of a square [m].
-    """
-
-    columns: int = 5
-    rows: int = 4
-    square: float = 0.070
+    columns: int = 5  # squares along, 3 to 20
+    rows: int = 4  # and across
+    square: float = 0.070  # side of a square [m]
 
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= 20 and 3 <= self.rows <= 20):

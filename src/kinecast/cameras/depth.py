@@ -16,57 +16,36 @@ from kinecast.cameras.pose_estimator import Keypoints
 from kinecast.live.detection import LEAST_CONFIDENCE, Detection
 from kinecast.types import SkeletonFrame
 
-NEAREST, FARTHEST = 0.1, 20.0
-"""Depths that are believed [m]."""
-HALF_LIMB = 0.02
-"""Half of what is looked at around a keypoint [m]: within a wrist, which is 6 cm wide."""
-LEAST_RADIUS, MOST_RADIUS = 2, 15
-"""The same, in pixels."""
-LEAST_SHARE = 0.2
-"""Of the pixels around a keypoint: fewer at one depth are noise at an edge."""
-GAP = 0.08
-"""Between two surfaces at least [m], beyond what noise makes."""
-REACH = 1.2
-"""Nothing of a person is so far from the middle of their depths [m]: arms are shorter."""
+NEAREST, FARTHEST = 0.1, 20.0  # depths that are believed [m]
+HALF_LIMB = 0.02  # half of what is looked at around a keypoint [m]: within a wrist, which is 6 cm wide
+LEAST_RADIUS, MOST_RADIUS = 2, 15  # the same, in pixels
+LEAST_SHARE = 0.2  # of the pixels around a keypoint: fewer at one depth are noise at an edge
+GAP = 0.08  # between two surfaces at least [m], beyond what noise makes
+REACH = 1.2  # nothing of a person is so far from the middle of their depths [m]: arms are shorter
+DISPARITY_STD = 0.08
+"""Of two images of a calibrated D400 in ordinary scenes [px]: its designer in librealsense, issue 3904."""
 
 
-@dataclass(frozen=True)
-class StereoNoise:
-    """Standard deviation z² · s / (f · b) of a depth z from two images.
+def stereo_noise(focal: float = 424.0, baseline: float = 0.050) -> float:
+    """Standard deviation of a depth from two images, by its square: s / (f · b) [1/m].
 
-    Source: Intel, Tuning depth cameras for best performance; s = 0.08 px of a calibrated D400 in ordinary scenes is
-    from its designer (librealsense, issue 3904).
+    Source: Intel, Tuning depth cameras for best performance.
 
-    Attributes:
-        focal: of the stereo images [px].
+    Args:
+        focal: of the images [px].
         baseline: between them [m].
-        subpixel: standard deviation of a disparity [px].
     """
-
-    focal: float = 424.0
-    baseline: float = 0.050
-    subpixel: float = 0.08
-
-    def std(self, depth: Float[np.ndarray, "*b"]) -> Float[np.ndarray, "*b"]:
-        """(…) [m] of depths (…) [m]."""
-        return depth**2 * (self.subpixel / (self.focal * self.baseline))
+    return DISPARITY_STD / (focal * baseline)
 
 
 @dataclass(frozen=True)
 class DepthImage:
-    """Depths by pixel of the colour image.
+    """Depths by pixel of the colour image."""
 
-    Attributes:
-        values: (h, w) in units; 0 where nothing was measured.
-        unit: of a value [m].
-        focal: of the colour image [px].
-        noise: of the camera.
-    """
-
-    values: UInt16[np.ndarray, "h w"]
-    unit: float
-    focal: float
-    noise: StereoNoise
+    values: UInt16[np.ndarray, "h w"]  # in units; 0 where nothing was measured
+    unit: float  # [m]
+    focal: float  # of the colour image [px]
+    noise: float  # see `stereo_noise`
 
     def at(self, pixels: Float[np.ndarray, "J 2"]) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " J"]]:
         """Depths of the surfaces of one person.
@@ -87,14 +66,14 @@ class DepthImage:
         depths, relief = np.array([self._surface(pixel, radius) for pixel in pixels]).T
         if np.isfinite(depths).any():
             depths = np.where(np.abs(depths - np.nanmedian(depths)) > REACH, np.nan, depths)
-        return depths, np.hypot(self.noise.std(depths), relief)
+        return depths, np.hypot(self.noise * depths**2, relief)
 
     def _surface(self, pixel: Float[np.ndarray, " 2"], radius: int) -> tuple[float, float]:
         """Depth of the nearest surface at a pixel, and half the height of its own relief [m]."""
         values = np.sort(self._patch(pixel, radius))
         if len(values) < LEAST_SHARE * (2 * radius + 1) ** 2:
             return np.nan, np.nan
-        parts = np.split(values, np.flatnonzero(np.diff(values) > GAP + 3 * self.noise.std(values[:-1])) + 1)
+        parts = np.split(values, np.flatnonzero(np.diff(values) > GAP + 3 * self.noise * values[:-1] ** 2) + 1)
         part = next((part for part in parts if len(part) >= LEAST_SHARE * len(values)), values)
         low, middle, high = part[(np.array([0.16, 0.5, 0.84]) * (len(part) - 1)).astype(int)]
         return float(middle), float(high - low) / 2

@@ -15,14 +15,11 @@ from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
 from kinecast.types import SkeletonFrame
 
-GATHER = 0.004
-"""People of one image who come in messages of their own come within this [s]."""
-PATIENCE = 0.05
-"""After so long without any image [s] a round ends without the cameras that are missing."""
+GATHER = 0.004  # people of one image who come in messages of their own come within this [s]
+PATIENCE = 0.05  # after so long without any image [s] a round ends without the cameras that are missing
 JUDGE, MOST_THROWN_OUT = 10.0, 30
 """How often cameras are judged [s], and how many of a camera's views may be thrown out until then."""
-LOOK = 0.1
-"""Longest wait before looking whether to end [s]."""
+LOOK = 0.1  # longest wait before looking whether to end [s]
 
 log = logging.getLogger(__name__)
 
@@ -42,11 +39,7 @@ class _Image:
 class FusedSource:
     """Fuses what cameras deliver; the newest image of each camera wins, and no queue grows.
 
-    Frames are stamped with this machine's time [s since 1970], since the cameras' clocks are several.
-
-    Args:
-        rig: the cameras.
-        feed: where fused frames go.
+    Frames go to the feed, stamped with this machine's time [s since 1970], since the cameras' clocks are several.
     """
 
     def __init__(self, rig: Rig, feed: Feed) -> None:
@@ -94,12 +87,10 @@ class FusedSource:
         self._put(_Image(camera, feed, person.stamp, acquired, time.monotonic() + GATHER, [person]))
 
     def start(self) -> None:
-        """Begins."""
         self._thread = threading.Thread(target=self._run, name="fusion", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stops, and waits until it has."""
         with self._changed:
             self._stop = True
             self._changed.notify()

@@ -16,14 +16,10 @@ except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("cameras", "camera") from error
 
 IMAGENET_MEAN = np.array([123.675, 116.28, 103.53], dtype=np.float32)
-IMAGENET_STD = np.array([58.395, 57.12, 57.375], dtype=np.float32)
-"""Of red, green and blue."""
-LARGEST_FILE = 1 << 30
-"""Bytes; the largest RTMPose takes 200 MB."""
-LARGEST_SIDE = 2048
-"""Of the image a network takes [px]."""
-LARGEST_OUTPUT = 1 << 24
-"""Numbers in one output; a YOLOX of 80 classes at 640 px gives 700 000."""
+IMAGENET_STD = np.array([58.395, 57.12, 57.375], dtype=np.float32)  # of red, green and blue
+LARGEST_FILE = 1 << 30  # bytes; the largest RTMPose takes 200 MB
+LARGEST_SIDE = 2048  # of the image a network takes [px]
+LARGEST_OUTPUT = 1 << 24  # numbers in one output; a YOLOX of 80 classes at 640 px gives 700 000
 THREADS = 2
 
 
@@ -32,11 +28,7 @@ class ImageModel:
 
     Nothing but the file itself is read: a network that keeps its weights in other files is refused by onnxruntime.
 
-    Args:
-        path: the ONNX file.
-
     Attributes:
-        path: as given.
         width, height: of the image it takes [px].
         outputs: names.
         sample: what it gives for an image of zeros.
@@ -66,11 +58,11 @@ class ImageModel:
     def window(
         self, image: UInt8[np.ndarray, "h w 3"], corner: Float[np.ndarray, " 2"], scale: float, outside: int = 0
     ) -> Float[np.ndarray, "h2 w2 3"]:
-        """The part of an image that the network is shown.
+        """The part of an RGB image that the network is shown.
 
         Args:
-            image: red, green, blue.
-            corner: where its first pixel is in the image [px].
+            image: of any size.
+            corner: where the part's first pixel is in the image [px].
             scale: pixels of the image in one of the network's.
             outside: value beyond the image.
         """

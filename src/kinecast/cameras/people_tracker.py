@@ -18,34 +18,23 @@ from kinecast.cameras.pose_estimator import Keypoints, PoseEstimator
 from kinecast.errors import ModelError
 
 LEAST_SCORE = 0.5
-MOST_OVERLAP = 0.45
-"""Of two boxes, intersection over union; the weaker one is dropped beyond it, as YOLOX does."""
-MOST_BOXES = 100
-"""That are compared."""
-SMALLEST = 16.0
-"""Of a box, each side [px]."""
+MOST_OVERLAP = 0.45  # of two boxes, intersection over union; the weaker one is dropped beyond it, as YOLOX does
+MOST_BOXES = 100  # that are compared
+SMALLEST = 16.0  # of a box, each side [px]
 GREY = 114
 STRIDES = (8, 16, 32)
-PERSON = 0
-"""COCO's class."""
+PERSON = 0  # COCO's class
 
-MOST_PEOPLE = 4
-"""In one image: each costs a run of the network."""
-DETECT_EVERY = 10
-"""Images from one look at the whole image to the next, while somebody is followed."""
-LEAST_SEEN = 4
-"""Joints by which somebody is followed: an arm and a shoulder."""
-SAME = 0.3
-"""Boxes that overlap by so much (intersection over union) are of one person."""
+MOST_PEOPLE = 4  # in one image: each costs a run of the network
+DETECT_EVERY = 10  # images from one look at the whole image to the next, while somebody is followed
+LEAST_SEEN = 4  # joints by which somebody is followed: an arm and a shoulder
+SAME = 0.3  # boxes that overlap by so much (intersection over union) are of one person
 MARGIN = 1.25
 """A person's box around what was seen of them; the rest of the head and the hands are outside, and they move."""
 
 
 class PersonDetector:
-    """Boxes around people, by RTMDet or YOLOX.
-
-    Args:
-        path: its ONNX file. `yolox` or `rtmdet` in its name tells which.
+    """Boxes around people, by RTMDet or YOLOX: `rtmdet` or `yolox` in the name of its ONNX file tells which.
 
     Raises:
         ModelError: it is no such network.
@@ -70,10 +59,7 @@ class PersonDetector:
             raise ModelError(f"{path}: gives {shape}; expected boxes with scores after suppression, or YOLOX's cells")
 
     def find(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "N 4"]:
-        """(N, 4) left, top, right, bottom of people [px], the surest first.
-
-        Args:
-            image: red, green, blue.
+        """(N, 4) left, top, right, bottom of people [px] in an RGB image, the surest first.
 
         Raises:
             ModelError: the network fails.
@@ -124,10 +110,6 @@ class PeopleTracker:
     """Runs a pose estimator where people are.
 
     Without a detector it follows one person: in the whole image first, then around where they were.
-
-    Args:
-        estimator: for each person.
-        detector: finds people in the whole image.
     """
 
     def __init__(self, estimator: PoseEstimator, detector: PersonDetector | None = None) -> None:
@@ -138,10 +120,7 @@ class PeopleTracker:
         self._since = 0
 
     def update(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Keypoints]:
-        """The keypoints of each person in the next image.
-
-        Args:
-            image: red, green, blue.
+        """The keypoints of each person in the next RGB image.
 
         Raises:
             ModelError: a network fails.

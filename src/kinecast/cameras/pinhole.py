@@ -14,30 +14,21 @@ from jaxtyping import Float
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse, transform
 
-NEAREST = 1e-3
-"""Points nearer to the camera's plane [m], or behind it, have no pixel."""
-MOST_STEPS, CONVERGED = 20, 1e-9
-"""Of undistorted coordinates: a thousandth of a thousandth of a pixel."""
+NEAREST = 1e-3  # points nearer to the camera's plane [m], or behind it, have no pixel
+MOST_STEPS, CONVERGED = 20, 1e-9  # Newton steps; the last one in x/z: a millionth of a pixel
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """How a camera maps directions to pixels; pixel (0, 0) is the middle of the upper left one, as in OpenCV.
+    """How a camera maps directions to pixels; pixel (0, 0) is the middle of the upper left one, as in OpenCV."""
 
-    Attributes:
-        width, height: of the image [px].
-        fx, fy: focal lengths [px].
-        cx, cy: principal point [px].
-        distortion: none, or OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]].
-    """
-
-    width: int
+    width: int  # [px]
     height: int
-    fx: float
+    fx: float  # focal lengths [px]
     fy: float
-    cx: float
+    cx: float  # principal point [px]
     cy: float
-    distortion: tuple[float, ...] = ()
+    distortion: tuple[float, ...] = ()  # none, or OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -48,11 +39,6 @@ class Intrinsics:
             raise OptionError(f"{len(self.distortion)} distortion coefficients: OpenCV's 4, 5 or 8, or none, are taken")
         if not np.isfinite((self.cx, self.cy, *self.distortion)).all():
             raise OptionError("principal point and distortion must be finite")
-
-    @property
-    def matrix(self) -> Float[np.ndarray, "3 3"]:
-        """OpenCV's camera matrix."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def pixels(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
         """(…, 2) pixels of directions x/z, y/z (…, 2)."""
@@ -112,17 +98,11 @@ class Intrinsics:
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera at its place in the world.
-
-    Attributes:
-        name: as sources call it.
-        intrinsics: see Intrinsics.
-        T_world_camera: (4, 4) p_world = T_world_camera · p_camera [m].
-    """
+    """A camera at its place in the world."""
 
     name: str
     intrinsics: Intrinsics
-    T_world_camera: Float[np.ndarray, "4 4"]
+    T_world_camera: Float[np.ndarray, "4 4"]  # p_world = T_world_camera · p_camera [m]
 
     @cached_property
     def T_camera_world(self) -> Float[np.ndarray, "4 4"]:  # noqa: N802 - as in conventions.md
@@ -130,14 +110,7 @@ class PinholeCamera:
         return inverse(self.T_world_camera)
 
     def project(self, points: Float[np.ndarray, "*b 3"]) -> tuple[Float[np.ndarray, "*b 2"], Float[np.ndarray, "*b"]]:
-        """Where points appear.
-
-        Args:
-            points: (…, 3) in the world [m].
-
-        Returns:
-            (…, 2) pixels, NaN behind the camera, and (…) depths [m]; pixels outside the image are given too.
-        """
+        """(…, 2) pixels, also outside the image, NaN behind the camera, and (…) depths [m] of points (…, 3) [m]."""
         local = apply(self.T_camera_world, points)
         depth = local[..., 2]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -164,12 +137,9 @@ class PinholeCamera:
         """(…, 3, 3) covariance J diag(σ_px², σ_px², σ_depth²) Jᵀ [m²] of back-projected points in the world.
 
         Args:
-            points: (…, 3) what `back_project` gave [m].
+            points: (…, 3) what `back_project` gave [m]; the result is NaN where it is NaN or behind the camera.
             pixel_std: (…) standard deviation of both pixel coordinates [px].
             depth_std: (…) standard deviation of the depth [m].
-
-        Returns:
-            NaN where a point is NaN or behind the camera.
         """
         local = apply(self.T_camera_world, points)
         z = np.where(local[..., 2] > NEAREST, local[..., 2], np.nan)[..., None]

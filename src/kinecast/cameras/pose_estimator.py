@@ -19,8 +19,7 @@ from kinecast.errors import ModelError
 from kinecast.live.detection import LEAST_CONFIDENCE
 
 PADDING = 1.25
-FINEST = 8
-"""Most SimCC bins in a pixel; RTMPose has 2."""
+FINEST = 8  # most SimCC bins in a pixel; RTMPose has 2
 
 _FEET = ("left_foot", None, "left_heel", "right_foot", None, "right_heel")
 _NAMES: dict[int, tuple[str | None, ...]] = {
@@ -40,23 +39,16 @@ _SPREAD = {
 _OTHERS = 0.079
 """By how much people differ who mark a keypoint, as a share of the root of the person's area: σ of COCO's keypoint
 evaluation. It has none for neck, pelvis, hands and feet: they have the shoulders' and hips', and Halpe's for feet."""
-AREA = 0.53
-"""Of a person, as a share of their box: what mmpose takes where there is no mask."""
+AREA = 0.53  # of a person, as a share of their box: what mmpose takes where there is no mask
 
 
 @dataclass(frozen=True)
 class Keypoints:
-    """One person in an image.
+    """One person in an image."""
 
-    Attributes:
-        pixels: (J, 2) [px], of the estimator's joints; also where confidence is low.
-        pixel_std: (J,) standard deviation of both pixel coordinates [px].
-        confidence: (J,) 0..1.
-    """
-
-    pixels: Float[np.ndarray, "J 2"]
-    pixel_std: Float[np.ndarray, " J"]
-    confidence: Float[np.ndarray, " J"]
+    pixels: Float[np.ndarray, "J 2"]  # of the estimator's joints [px]; also where confidence is low
+    pixel_std: Float[np.ndarray, " J"]  # standard deviation of both coordinates [px]
+    confidence: Float[np.ndarray, " J"]  # 0..1
 
     @property
     def seen(self) -> Bool[np.ndarray, " J"]:
@@ -71,13 +63,9 @@ class Keypoints:
 
 
 class PoseEstimator:
-    """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints.
-
-    Args:
-        path: its ONNX file.
+    """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints, in an ONNX file.
 
     Attributes:
-        model: the network.
         joints: canonical names of the keypoints that have one.
 
     Raises:
@@ -95,11 +83,7 @@ class PoseEstimator:
         self._spread = np.array([_SPREAD.get(without_side(joint), _OTHERS) for joint in self.joints])
 
     def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Keypoints:
-        """The keypoints of whoever is in a box.
-
-        Args:
-            image: red, green, blue.
-            box: left, top, right, bottom [px].
+        """The keypoints of whoever is in a box (left, top, right, bottom) [px] of an RGB image.
 
         Raises:
             ModelError: the network fails.
@@ -128,11 +112,7 @@ class PoseEstimator:
         return places.astype(np.float64), np.clip(np.nan_to_num(heights.astype(np.float64)), 0.0, 1.0)
 
     def _check(self) -> int:
-        """How many keypoints the network gives.
-
-        Raises:
-            ModelError: its outputs are of another kind.
-        """
+        """How many keypoints the network gives."""
         shapes = [each.shape for each in self.model.sample]
         if len(shapes) == 1 and len(shapes[0]) == 4 and shapes[0][0] == 1:
             return shapes[0][1]

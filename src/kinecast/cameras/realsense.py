@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from kinecast.cameras.depth import DepthImage, StereoNoise, detection_of, lifted
+from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_noise
 from kinecast.cameras.people_tracker import PeopleTracker, PersonDetector
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
@@ -24,14 +24,10 @@ from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
 from kinecast.live.settings import number, whole_number
 
-RECORDINGS = (".bag", ".db3")
-"""Endings of recordings; librealsense wrote .bag before it wrote .db3."""
-SILENT = 5.0
-"""After so long without a frame [s] the camera is opened anew."""
-RETRY = 1.0
-"""Before a camera that failed is opened anew [s]."""
-WAIT = 200
-"""Longest wait for a frame before looking whether to end [ms]."""
+RECORDINGS = (".bag", ".db3")  # endings of recordings; librealsense wrote .bag before it wrote .db3
+SILENT = 5.0  # after so long without a frame [s] the camera is opened anew
+RETRY = 1.0  # before a camera that failed is opened anew [s]
+WAIT = 200  # longest wait for a frame before looking whether to end [ms]
 
 
 def _library() -> ModuleType:
@@ -64,17 +60,11 @@ rs = _library()
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """Colour and depth of one instant.
+    """Colour and depth of one instant."""
 
-    Attributes:
-        stamp: when it was taken [s], on the camera's clock.
-        colour: red, green, blue.
-        depth: by pixel of the colour image, in units; 0 where nothing was measured.
-    """
-
-    stamp: float
-    colour: UInt8[np.ndarray, "h w 3"]
-    depth: UInt16[np.ndarray, "h w"]
+    stamp: float  # when it was taken [s], on the camera's clock
+    colour: UInt8[np.ndarray, "h w 3"]  # red, green, blue
+    depth: UInt16[np.ndarray, "h w"]  # by pixel of the colour image, in units; 0 where nothing was measured
 
 
 class RealSenseStream:
@@ -84,12 +74,6 @@ class RealSenseStream:
         place: a serial number, the path of a recording (see `RECORDINGS`), or nothing for whatever camera there is.
         size: width and height of both images [px].
         rate: frames in a second.
-
-    Attributes:
-        recorded: whether it is a recording.
-        intrinsics: of the colour image.
-        unit: of a depth [m].
-        noise: of the depths.
 
     Raises:
         OptionError: there is no such camera or recording, or it gives no colour and depth.
@@ -150,9 +134,9 @@ class RealSenseStream:
             raise RuntimeError(f"its colours are {self._format}, expected rgb8 or bgr8")
         self.unit = float(sensor.get_depth_scale())
         self.intrinsics = intrinsics_of(colour.get_intrinsics())
-        self.noise = StereoNoise(focal=float(depth.get_intrinsics().fx))
-        if sensor.supports(rs.option.stereo_baseline):
-            self.noise = StereoNoise(self.noise.focal, float(sensor.get_option(rs.option.stereo_baseline)) / 1000)
+        known = sensor.supports(rs.option.stereo_baseline)
+        baseline = float(sensor.get_option(rs.option.stereo_baseline)) / 1000 if known else 0.050
+        self.noise = stereo_noise(float(depth.get_intrinsics().fx), baseline)
 
 
 def intrinsics_of(found: Any) -> Intrinsics:
@@ -160,9 +144,6 @@ def intrinsics_of(found: Any) -> Intrinsics:
 
     Its inverse distortion leads from pixels to directions with the coefficients that OpenCV has for the other way:
     OpenCV's five that lead back best are found by least squares.
-
-    Args:
-        found: an rs.intrinsics.
 
     Raises:
         RuntimeError: librealsense cannot tell the direction of a pixel.
@@ -182,31 +163,18 @@ def intrinsics_of(found: Any) -> Intrinsics:
 
 @dataclass(frozen=True)
 class RealSenseOptions:
-    """How a camera is used.
+    """How a camera is used."""
 
-    Attributes:
-        model: the pose estimator's ONNX file.
-        detector: the person detector's; None to follow one person without.
-        size: width and height of both images [px].
-        rate: frames in a second.
-        tilt: by how much the camera looks down [deg].
-        height: of the camera above the world's origin [m].
-    """
-
-    model: Path
-    detector: Path | None = None
-    size: tuple[int, int] = (848, 480)
-    rate: int = 30
-    tilt: float = 0.0
-    height: float = 0.0
+    model: Path  # the pose estimator's ONNX file
+    detector: Path | None = None  # the person detector's; None to follow one person without
+    size: tuple[int, int] = (848, 480)  # width and height of both images [px]
+    rate: int = 30  # frames in a second
+    tilt: float = 0.0  # by how much the camera looks down [deg]
+    height: float = 0.0  # of the camera above the world's origin [m]
 
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> RealSenseOptions:
-        """From what stands behind the question mark.
-
-        Args:
-            settings: those given.
-            text: of the source, for messages.
+        """From the settings of a source, whose text is for messages.
 
         Raises:
             OptionError: one outside its range, or no model.
@@ -233,13 +201,9 @@ class RealSenseSource:
     Args:
         name: for messages.
         feed: where frames go, and failures are counted.
-        place: a serial number, the path of a recording, or nothing.
-        options: how.
+        place: see RealSenseStream.
+        options: how the camera is used.
         handler: takes what is seen; None for skeletons from this camera alone, in a world that begins below it.
-
-    Attributes:
-        stream: of the camera.
-        intrinsics: of the colour image.
 
     Raises:
         OptionError: there is no such camera.
@@ -262,12 +226,10 @@ class RealSenseSource:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begins."""
         self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stops, and waits until it has."""
         self._stop.set()
         if self._thread:
             self._thread.join()

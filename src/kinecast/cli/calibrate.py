@@ -21,15 +21,10 @@ if TYPE_CHECKING:
     from kinecast.cameras.calibration import Extrinsics
     from kinecast.cameras.charuco import CharucoBoard, Corners
 
-__all__ = ["calibrate"]
-
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 MOST_PICTURES = 500
-BAD = 1.5
-"""Corners so far from where they should be [px] on the average say that something is wrong."""
-
-VAGUE = 0.003
-"""Of the picture's width: an uncertainty of the lens that moves a joint at 3 m by a centimetre."""
+BAD = 1.5  # corners so far from where they should be [px] on the average say that something is wrong
+VAGUE = 0.003  # of the picture's width: an uncertainty of the lens that moves a joint at 3 m by a centimetre
 
 Cameras = Annotated[tuple[str, ...], arg(metavar="NAME=FOLDER [NAME=FOLDER ...]", help_behavior_hint="")]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
@@ -83,12 +78,7 @@ def calibrate(
 
 
 def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
-    """Names and folders.
-
-    Raises:
-        OptionError: there are none, or a name is there twice.
-        DatasetError: a folder is none.
-    """
+    """Folders by name."""
     if not texts:
         raise OptionError("NAME=FOLDER: at least one camera is needed, or --board FILE for a board to print")
     folders: dict[str, Path] = {}
@@ -143,31 +133,26 @@ def _solved(
 
 
 def _pictures(folder: Path, board: CharucoBoard) -> tuple[dict[str, Corners], tuple[int, int], int]:
-    """What is seen of the board in each picture of a folder; the pictures' size, and how many there are.
-
-    Raises:
-        DatasetError: no pictures, too many, or of different sizes.
-    """
+    """What is seen of the board in each picture of a folder; the pictures' size, and how many there are."""
     import cv2
 
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
     if not 0 < len(paths) <= MOST_PICTURES:
         raise DatasetError(folder, f"{len(paths)} pictures ({', '.join(ENDINGS)}), 1 to {MOST_PICTURES} are taken")
     found: dict[str, Corners] = {}
-    size: tuple[int, int] | None = None
+    width = height = 0
     for path in paths:
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if picture is None:
             raise DatasetError(path, "no picture can be read from it")
-        mine = picture.shape[1], picture.shape[0]
-        if size is not None and mine != size:
-            raise DatasetError(path, f"{mine[0]}x{mine[1]} pixels, but those before have {size[0]}x{size[1]}")
-        size = mine
+        if width and picture.shape != (height, width):
+            mine = f"{picture.shape[1]}x{picture.shape[0]}"
+            raise DatasetError(path, f"{mine} pixels, but those before have {width}x{height}")
+        height, width = picture.shape
         corners = board.corners(picture)
         if corners is not None:
             found[path.stem] = corners
-    assert size is not None
-    return found, size, len(paths)
+    return found, (width, height), len(paths)
 
 
 def _table(
@@ -190,9 +175,6 @@ def _table(
             f"{x:7.3f}  {y:7.3f}  {z:7.3f}  {spread}"
         )
         if extrinsics.error[name] > BAD:
-            note(
-                f"{name}: corners are {extrinsics.error[name]:.1f} px off: was the board bent, or moving?",
-                "yellow",
-            )
+            note(f"{name}: corners are {extrinsics.error[name]:.1f} px off: was the board bent, or moving?", "yellow")
     lines.append("± is against the first camera; how level the world is, is how level the board lay.")
     return lines

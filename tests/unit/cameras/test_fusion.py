@@ -12,7 +12,7 @@ import pytest
 
 from kinecast.cameras.fused_source import FusedSource
 from kinecast.cameras.fusion.fusion import ELSEWHERE, Fusion
-from kinecast.cameras.fusion.measurement import SKIN_DEPTH
+from kinecast.cameras.fusion.measurement import skin_depths
 from kinecast.cameras.fusion.person import CONFIRMED, SHOWN
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
@@ -45,7 +45,6 @@ def camera(name: str, azimuth: float) -> PinholeCamera:
 
 
 RIG = Rig({name: camera(name, azimuth) for name, azimuth in (("a", -60.0), ("b", 45.0), ("c", 170.0))}, "cell")
-FLESH_OF = np.array([SKIN_DEPTH[joint.removeprefix("left_").removeprefix("right_")] for joint in JOINTS])
 
 
 def look(
@@ -55,7 +54,7 @@ def look(
     of = RIG.cameras[name]
     pixels, depth = of.project(place)
     along = of.rays(pixels) @ of.T_world_camera[:3, 2]
-    surface = depth - FLESH_OF * along
+    surface = depth - skin_depths(JOINTS) * along
     depth_std = 0.0024 * depth**2
     if rng is not None:
         pixels = pixels + rng.normal(0, pixel_std, pixels.shape)

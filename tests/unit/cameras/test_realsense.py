@@ -19,9 +19,9 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS, COCO_17
 from kinecast.cameras import realsense
-from kinecast.cameras.depth import DepthImage, StereoNoise, lifted
+from kinecast.cameras.depth import DepthImage, lifted, stereo_noise
 from kinecast.cameras.fused_source import FusedSource
-from kinecast.cameras.fusion.measurement import SKIN_DEPTH
+from kinecast.cameras.fusion.measurement import skin_depths
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.realsense import (
     CameraFrame,
@@ -48,7 +48,7 @@ BODY = np.array(
 """COCO's 17 in the world [m], of somebody 2.4 m in front of a camera at the origin, who faces it."""
 BONES = ((5, 7), (7, 9), (6, 8), (8, 10), (5, 6), (5, 11), (6, 12), (11, 12), (11, 13), (13, 15), (12, 14), (14, 16),
          (0, 5), (0, 6), (3, 4))  # fmt: skip
-SKIN = np.array([SKIN_DEPTH.get(joint.split("_")[-1], 0.0) for joint in COCO_17.joints])
+SKIN = skin_depths(COCO_17.joints)
 WALL = 3.6
 LONG = 120.0
 """Longest wait for anything [s]."""
@@ -76,14 +76,14 @@ def drawn_depth(points: np.ndarray, intrinsics: Intrinsics, unit: float = 0.001)
 
 
 def image_of(depth: np.ndarray, focal: float = COLOUR.fx) -> DepthImage:
-    return DepthImage(depth, 0.001, focal, StereoNoise())
+    return DepthImage(depth, 0.001, focal, stereo_noise())
 
 
 # Depths
 
 
 def test_depth_noise_is_that_of_a_calibrated_d435() -> None:
-    np.testing.assert_allclose(StereoNoise().std(np.array([1.0, 2.0])), [0.0038, 0.0151], atol=1e-4)
+    np.testing.assert_allclose(stereo_noise() * np.array([1.0, 4.0]), [0.0038, 0.0151], atol=1e-4)
 
 
 def test_the_limb_counts_and_not_what_is_behind_nor_a_hole_nor_a_speck() -> None:

@@ -24,10 +24,8 @@ _TO_TRUNK = {
 }  # fmt: skip
 _WITHIN_TRUNK = 1.0
 
-RECENT = 0.3
-"""A joint not seen for so long [s] says nothing of its neighbours."""
-ANCHOR_STD = 0.25
-"""How near a joint is to its neighbours [m]: about an upper arm's length."""
+RECENT = 0.3  # a joint not seen for so long [s] says nothing of its neighbours
+ANCHOR_STD = 0.25  # how near a joint is to its neighbours [m]: about an upper arm's length
 
 
 def _longest() -> Float[np.ndarray, "J J"]:

@@ -22,23 +22,16 @@ PIXEL_LIMIT, DEPTH_LIMIT = 16.0, 12.0
 and 5 in 10 000 of good ones are."""
 PAST_LIMIT = 30.0
 """The same of the past. More than one image with depth together, so that it takes two images to overrule the past."""
-IMPOSSIBLE = 80.0
-"""What it costs to be too far from all neighbours: more than the past and an image together."""
-MOST_PAIRED = 6
-"""Images of which pairs are tried."""
+IMPOSSIBLE = 80.0  # what it costs to be too far from all neighbours: more than the past and an image together
+MOST_PAIRED = 6  # images of which pairs are tried
 REFINEMENTS = 2
 WRONG_SHARE, WRONG_LEAST = 0.5, 3
 """An image of which so many joints, and this share, disagree with all else is wrong as a whole."""
-GUESS = 3.0
-"""Distance of a joint of which nothing tells it [m], for the noise of its pixels."""
+GUESS = 3.0  # distance of a joint of which nothing tells it [m], for the noise of its pixels
 
 
 class Consensus:
-    """What is left of V images of one person after the wrong was thrown out.
-
-    Args:
-        images: one measurement for each camera.
-        states: what is known of the joints, at the instant of interest.
+    """What is left of V images of one person after the wrong was thrown out, at the instant of their states.
 
     Attributes:
         used: (V, J, 2) whether the pixel, and the depth, of each image go in.
@@ -51,7 +44,7 @@ class Consensus:
         self._images = images
         self._known = known = states.known
         self._here = np.where(known[:, None], states.mean[:, 0], 0.0)
-        then = np.stack([states.at(stamp)[0] for stamp in np.atleast_1d(images.stamp)])
+        then = np.stack([states.at(stamp)[0] for stamp in images.stamp])
         moved = np.where(known[:, None], then - states.mean[:, 0], 0.0)  # (V, J, 3) from now to each image
         self._values = images.values - np.einsum("vjrx,vjx->vjr", images.rows, moved)  # as if taken now
         speed = np.where(known, np.trace(states.covariance[:, 3:6, 3:6], axis1=1, axis2=2) / 3, 1.0)

@@ -20,35 +20,21 @@ from kinecast.cameras.rig import Rig
 from kinecast.live.detection import Detection
 from kinecast.types import SkeletonFrame
 
-ALIVE = 0.5
-"""A camera that was silent for so long [s] is not waited for."""
-OLDEST = 0.15
-"""An image so much older than the newest round [s] is not used: its people have moved too far."""
-ELSEWHERE = 20
-"""So many such images in a row, and time has been set back."""
-FORGET = 1.0
-"""Nobody was seen for so long [s]: they have left."""
-FORGET_DOUBTFUL = 0.2
-"""The same of somebody not seen often enough to be somebody."""
+ALIVE = 0.5  # a camera that was silent for so long [s] is not waited for
+OLDEST = 0.15  # an image so much older than the newest round [s] is not used: its people have moved too far
+ELSEWHERE = 20  # so many such images in a row, and time has been set back
+FORGET, FORGET_DOUBTFUL = 1.0, 0.2
+"""Nobody was seen for so long [s]: they have left; the same of somebody not seen often enough to be somebody."""
 ALONE, APART = 0.6, 0.25
 """Least mean distance from every known person at which one camera, or several together, see a new one [m]."""
-DOUBLE = 0.12
-"""Two persons nearer than this [m] are one."""
-MOST_PEOPLE = 16
-"""In one image, and known at once."""
-MOST_TRIALS = 12
-"""Ways to put strangers together in one round."""
-
-
-ASSIGNED = 0.55
-"""Mean share of the limits up to which a measurement may be of a person; see `Person.distance`."""
+DOUBLE = 0.12  # two persons nearer than this [m] are one
+MOST_PEOPLE = 16  # in one image, and known at once
+MOST_TRIALS = 12  # ways to put strangers together in one round
+ASSIGNED = 0.55  # mean share of the limits up to which a measurement may be of a person; see `Person.distance`
 
 
 class Fusion:
     """Takes images in the order they come and gives skeletons; never raises, whatever the images say.
-
-    Args:
-        rig: the cameras. Frames carry its frame_id.
 
     Attributes:
         late: images that came too late to be used.
@@ -168,7 +154,8 @@ class Fusion:
             first, others = strangers[0], strangers[1:]
             partners = [None, *(other for other in others if other.camera != first.camera)][:trials]
             trials -= len(partners)
-            best, fitting = None, []
+            best: Person | None = None
+            fitting: list[Measurement] = []
             for partner in partners:
                 trial = Person(self._stamp)
                 trial.update([first] if partner is None else [first, partner])
@@ -192,7 +179,7 @@ class Fusion:
         for person in sorted(self._people, key=lambda person: -person.rounds):
             if all(person.apart(other) > DOUBLE for other in kept):
                 kept.append(person)
-        self._people = [person for person in self._people if person in kept]
+        self._people = kept
 
 
 def _fitting(measurements: list[Measurement], person: Person) -> list[Measurement]:

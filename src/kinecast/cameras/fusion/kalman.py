@@ -8,16 +8,14 @@ from jaxtyping import Bool, Float
 from kinecast.body.skeleton import without_side
 from kinecast.cameras.fusion.measurement import FUSED_JOINTS
 
-FADE = 0.4
-"""Time in which an acceleration fades [s], from tuning: docs/decisions/0022."""
+FADE = 0.4  # time in which an acceleration fades [s], from tuning: docs/decisions/0022
 ACCELERATIONS = {"elbow": 2.0, "wrist": 3.0, "hand": 4.0}
 ACCELERATION = 1.0
 """Standard deviation of a joint's acceleration along each axis [m/s²]: two to three times what it is in recorded work,
 for the sake of a small lag (docs/decisions/0022)."""
 START_SPEED, START_ACCELERATION = 0.7, 3.0
 """Standard deviation, along each axis, of a joint not seen before [m/s], [m/s²]: a person walks at 1.2 m/s."""
-UNSEEN, SLOWING = 0.1, 0.3
-"""A joint that nobody has seen for so long [s] loses its speed in so long [s]."""
+UNSEEN, SLOWING = 0.1, 0.3  # a joint that nobody has seen for so long [s] loses its speed in so long [s]
 
 _VARIANCES = np.array([ACCELERATIONS.get(without_side(joint), ACCELERATION) ** 2 for joint in FUSED_JOINTS])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -50,9 +48,6 @@ def back(dt: Float[np.ndarray, "*v"] | float) -> Float[np.ndarray, "*v 3"]:
 
 class JointStates:
     """What is known of the joints of one person, in the order of FUSED_JOINTS.
-
-    Args:
-        stamp: now [s].
 
     Attributes:
         mean: (J, 3, 3) position [m], velocity, acceleration of each joint; NaN where it was never seen.

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -25,8 +26,7 @@ SKIN_DEPTH = {
     "head": 0.090, "nose": 0.0,
 }  # fmt: skip
 """From skin to the joint's centre [m]: half of breadths and depths of body parts in ANSUR II (Gordon et al. 2014)."""
-SKIN_STD = 0.015
-"""By how much that varies with the person, clothes and the side it is seen from [m]."""
+SKIN_STD = 0.015  # by how much that varies with the person, clothes and the side it is seen from [m]
 
 TRUNK = ("pelvis", "lumbar", "spine", "thorax", "chest", "collar", "neck", "head", "nose")
 _LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle")
@@ -37,12 +37,9 @@ PLACE_STD = 0.005
 ANGLE_STD = 1.7e-3
 """How well a camera's place [m] and direction [rad] are known: `kinecast calibrate` by hand, docs/decisions/0022."""
 LEAST_PIXEL_STD = 0.5
-NEAR, FAR = 0.1, 20.0
-"""Depths that are believed [m]."""
-DEEP = 0.9
-"""No joint is so much nearer or farther than most of the person [m]: what is read there is something else."""
-LEAST_STD = 0.002
-"""Of a position that a tracker gives [m]."""
+NEAR, FAR = 0.1, 20.0  # depths that are believed [m]
+DEEP = 0.9  # no joint is so much nearer or farther than most of the person [m]: what is read there is something else
+LEAST_STD = 0.002  # of a position that a tracker gives [m]
 TRACKER_STD = 0.02
 """Of one whose tracker does not say: Azure Kinect's joints against Vicon, Tölgyessy et al. 2021, in still arms."""
 STEREO_STD = 0.0024
@@ -51,32 +48,23 @@ STEREO_STD = 0.0024
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """One person in one image; of several images, with an axis V before all others.
+    """One person in one image; of several images, with an axis V before all others."""
 
-    Attributes:
-        stamp: when the image was taken [s].
-        rows: (J, 3, 3) what each joint's place in the world is multiplied with.
-        values: (J, 3) what that should give.
-        near, far: (J, 3) standard deviation of `values`: √(near² + (far z)²), z the depth.
-        seen: (J, 2) whether there are the first two rows, whether there is the third.
-        axis: (4,) z = axis[:3] · p + axis[3].
-        camera: its name; empty of several.
-    """
-
-    stamp: float | Float[np.ndarray, " V"]
-    rows: Float[np.ndarray, "*v J 3 3"]
-    values: Float[np.ndarray, "*v J 3"]
-    near: Float[np.ndarray, "*v J 3"]
+    stamp: Any  # when the image was taken [s]; (V,) of several
+    rows: Float[np.ndarray, "*v J 3 3"]  # what each joint's place in the world is multiplied with
+    values: Float[np.ndarray, "*v J 3"]  # what that should give
+    near: Float[np.ndarray, "*v J 3"]  # standard deviation of `values`: √(near² + (far z)²), z the depth
     far: Float[np.ndarray, "*v J 3"]
-    seen: Bool[np.ndarray, "*v J 2"]
-    axis: Float[np.ndarray, "*v 4"]
-    camera: str = ""
+    seen: Bool[np.ndarray, "*v J 2"]  # whether there are the first two rows, whether there is the third
+    axis: Float[np.ndarray, "*v 4"]  # z = axis[:3] · p + axis[3]
+    camera: str = ""  # its name; empty of several
 
 
 def stacked(measurements: Sequence[Measurement]) -> Measurement:
     """Several images of one person."""
     parts = ("stamp", "rows", "values", "near", "far", "seen", "axis")
-    return Measurement(**{part: np.stack([getattr(each, part) for each in measurements]) for part in parts})
+    arrays: list[Any] = [np.stack([getattr(each, part) for each in measurements]) for part in parts]
+    return Measurement(*arrays)
 
 
 def skin_depths(joints: Sequence[str]) -> Float[np.ndarray, " J"]:

@@ -13,27 +13,19 @@ from kinecast.cameras.fusion.kalman import JointStates
 from kinecast.cameras.fusion.measurement import FUSED_JOINTS, Measurement, stacked
 from kinecast.types import SkeletonFrame
 
-PATIENCE = 10
-"""After so many rounds in which images contradict the past, and nothing supports it, it is given up."""
+PATIENCE = 10  # after so many rounds in which images contradict the past, and nothing supports it, it is given up
 STANDING = 0.8
 """Share of the variance of what images say that is the same in the next image: a pose estimator's errors stay."""
-MOST_BEYOND = 0.5
-"""A joint too far from more than this share of its neighbours is something else."""
-LOOSE = 0.2
-"""Uncertainty from which a joint is held near the body [m]."""
+MOST_BEYOND = 0.5  # a joint too far from more than this share of its neighbours is something else
+LOOSE = 0.2  # uncertainty from which a joint is held near the body [m]
 SHOWN = 0.15
 """A joint that nobody has seen for so long [s] is no longer given: the predictor then knows that it is hidden."""
-CONFIRMED = 3
-"""Rounds in which somebody is seen before they count as somebody."""
-LEAST_SHARED = 3
-"""Joints that must be seen and known for a comparison."""
+CONFIRMED = 3  # rounds in which somebody is seen before they count as somebody
+LEAST_SHARED = 3  # joints that must be seen and known for a comparison
 
 
 class Person:
-    """A person.
-
-    Args:
-        stamp: now [s].
+    """A person, from an instant [s] on.
 
     Attributes:
         name: the id that frames carry; empty until they have one.
@@ -55,14 +47,7 @@ class Person:
         return self.rounds >= CONFIRMED
 
     def update(self, measurements: Sequence[Measurement]) -> list[Measurement]:
-        """Takes all that was measured of them in one round.
-
-        Args:
-            measurements: at most one of each camera, none later than `states`.
-
-        Returns:
-            Those that disagreed with the others as a whole, and were left out.
-        """
+        """Takes at most one measurement of each camera; those that disagree as a whole are left out, and returned."""
         states = self.states
         images = stacked(measurements)
         consensus = Consensus(images, states)
