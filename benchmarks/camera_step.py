@@ -22,9 +22,8 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from benchmarks.machine import facts, milliseconds, save
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
-from kinecast.cameras.depth import DepthImage, StereoNoise
-from kinecast.cameras.lifting import lifted, standing, view_of
+from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_noise
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
 
 SIZE = (848, 480)
@@ -67,15 +66,15 @@ def run(model: Path | None, pictures: int) -> dict[str, Any]:
     depth = np.full((SIZE[1], SIZE[0]), 3500.0)
     depth[40:460, 330:520] = 2000.0
     values = (depth + rng.normal(0, 15, depth.shape)).astype(np.uint16)
-    camera = PinholeCamera("camera", Intrinsics(*SIZE, FOCAL, FOCAL, 423.5, 239.5), standing())
+    camera = PinholeCamera("camera", Intrinsics(*SIZE, FOCAL, FOCAL, 423.5, 239.5), level_pose())
     box = np.array([330.0, 40.0, 520.0, 460.0])
     estimates, lifts = [], []
     for _ in range(pictures):
         begun = time.thread_time()
         keypoints = estimator.estimate(colour, box)
         estimated = time.thread_time()
-        image = DepthImage(values, 0.001, FOCAL, StereoNoise())
-        lifted(view_of(0.0, "camera", "0", estimator.joints, keypoints, image), camera)
+        image = DepthImage(values, 0.001, FOCAL, stereo_noise())
+        lifted(detection_of(0.0, "camera", "0", estimator.joints, keypoints, image), camera)
         lifts.append(time.thread_time() - estimated)
         estimates.append(estimated - begun - network.here[-1])
     return {

@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks import machine
 from benchmarks.fusion_views import SLOW, Body, Faults, Image, disturbed, images, rig
 from kinecast.cameras.fusion.fusion import Fusion
-from kinecast.cameras.fusion.sighting import DEEP, FLESH
+from kinecast.cameras.fusion.measurement import DEEP, skin_depths
 from kinecast.cameras.rig import Rig
 from kinecast.datasets.loading import load
 from kinecast.types import SkeletonFrame
@@ -42,20 +42,12 @@ SHIFTS = np.arange(-0.060, 0.1201, 0.002)
 
 @dataclass(frozen=True)
 class Shown:
-    """One skeleton that came out.
+    """One skeleton that came out."""
 
-    Attributes:
-        taken: true time of the newest image in it [s].
-        positions: (J, 3) in the order of the body's joints; NaN where not given.
-        variance: (J, 3, 3) what it says of its own error [m²].
-        hidden: (J,) whether the panel hid the joint from the first camera in its newest image.
-        person: its id.
-    """
-
-    taken: float
-    positions: np.ndarray
-    variance: np.ndarray
-    hidden: np.ndarray
+    taken: float  # true time of the newest image in it [s]
+    positions: np.ndarray  # (J, 3) in the order of the body's joints; NaN where not given
+    variance: np.ndarray  # (J, 3, 3) what it says of its own error [m²]
+    hidden: np.ndarray  # (J,) whether the panel hid the joint from the first camera in its newest image
     person: str
 
 
@@ -327,14 +319,14 @@ def _average(known: Rig, seen: Sequence[Image], body: Body) -> tuple[list[Shown]
     newest: dict[str, np.ndarray] = {}
     shown, rounds = [], 0
     hidden = np.zeros(len(body.joints), bool)
-    flesh = np.array([FLESH[joint.removeprefix("left_").removeprefix("right_")] for joint in body.joints])
+    skin = skin_depths(body.joints)
     for image in seen:
         if image.camera == "left":
             hidden = image.hidden[0]
         if image.views:
             view, camera = image.views[0], known.cameras[image.camera]
             near = np.abs(view.depth - np.nanmedian(view.depth)) < DEEP if np.isfinite(view.depth).any() else view.seen
-            newest[image.camera] = camera.back_project(view.pixels, np.where(near, view.depth + flesh, np.nan))
+            newest[image.camera] = camera.back_project(view.pixels, np.where(near, view.depth + skin, np.nan))
         if image.camera == seen[0].camera and image.taken > body.stamps[0] + SETTLED and newest:
             rounds += 1
             places = np.stack(list(newest.values()))

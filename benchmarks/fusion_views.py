@@ -22,11 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.body.skeleton import without_side
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.geometry.transforms import from_rotation_vector, transform
 from kinecast.live.clock import SourceClock
-from kinecast.live.detection import View
+from kinecast.live.detection import Detection
 
 COCO_SIGMA = {"shoulder": 0.079, "elbow": 0.072, "wrist": 0.062, "hip": 0.107}
 OTHER_SIGMA = 0.079
@@ -48,41 +49,25 @@ CHEST = 0.75
 
 @dataclass(frozen=True)
 class Faults:
-    """What is wrong with the cameras.
+    """What is wrong with the cameras."""
 
-    Attributes:
-        lost: share of joints that an estimator does not give.
-        dropped: share of images that never arrive.
-        hidden: share of the joints in the first camera's view that a panel hides.
-        drift: clocks run so much apart, at most [s/s].
-        place, angle: standard deviation of the errors in each camera's place [m] and direction [rad].
-        slow: share of the variance of pixels that stays from image to image.
-        scale: of the error of pixels.
-    """
-
-    lost: float = 0.02
-    dropped: float = 0.02
-    hidden: float = 0.0
-    drift: float = 50e-6
-    place: float = 0.003
-    angle: float = 1e-3
-    slow: float = SLOW
-    scale: float = 1.0
+    lost: float = 0.02  # share of joints that an estimator does not give
+    dropped: float = 0.02  # share of images that never arrive
+    hidden: float = 0.0  # share of the joints in the first camera's view that a panel hides
+    drift: float = 50e-6  # clocks run so much apart, at most [s/s]
+    place: float = 0.003  # standard deviation of the error in each camera's place [m]
+    angle: float = 1e-3  # and in its direction [rad]
+    slow: float = SLOW  # share of the variance of pixels that stays from image to image
+    scale: float = 1.0  # of the error of pixels
 
 
 @dataclass(frozen=True)
 class Body:
-    """One person: what is recorded, moved to where the cameras are.
+    """One person: what is recorded, moved to where the cameras are."""
 
-    Attributes:
-        stamps: (N,) [s].
-        joints: names.
-        positions: (N, J, 3) [m].
-    """
-
-    stamps: Float[np.ndarray, " N"]
+    stamps: Float[np.ndarray, " N"]  # [s]
     joints: tuple[str, ...]
-    positions: Float[np.ndarray, "N J 3"]
+    positions: Float[np.ndarray, "N J 3"]  # [m]
 
     def at(self, time: float | np.ndarray) -> Float[np.ndarray, "*t J 3"]:
         """(…, J, 3) at instants (…) [s], between the two recorded ones."""
@@ -94,23 +79,14 @@ class Body:
 
 @dataclass(frozen=True)
 class Image:
-    """What one camera's estimator sends.
-
-    Attributes:
-        camera: whose.
-        taken: true time [s].
-        stamp: what the fusion's machine believes it to be [s].
-        arrived: when it got there [s].
-        views: everybody seen, from left to right, numbered so.
-        hidden: per body, (J,) whether the panel hid the joint.
-    """
+    """What one camera's estimator sends."""
 
     camera: str
-    taken: float
-    stamp: float
-    arrived: float
-    views: tuple[View, ...]
-    hidden: tuple[np.ndarray, ...]
+    taken: float  # true time [s]
+    stamp: float  # what the fusion's machine believes it to be [s]
+    arrived: float  # when it got there [s]
+    views: tuple[Detection, ...]  # everybody seen, from left to right, numbered so
+    hidden: tuple[np.ndarray, ...]  # per body, (J,) whether the panel hid the joint
 
 
 def rig() -> Rig:
@@ -216,14 +192,13 @@ def _look(
     panel: _Panel,
     taken: float,
     rng: np.random.Generator,
-) -> tuple[View, np.ndarray]:
+) -> tuple[Detection, np.ndarray]:
     eye = camera.T_world_camera[:3, 3]
     exact, _ = camera.project(points[own])
     i = camera.intrinsics
     inside = (exact > 0).all(axis=1) & (exact < (i.width, i.height)).all(axis=1)
     side = np.ptp(exact[np.isfinite(exact).all(axis=1)], axis=0) if np.isfinite(exact).any() else np.zeros(2)
-    plain = [joint.removeprefix("left_").removeprefix("right_") for joint in joints]
-    sigma = np.array([COCO_SIGMA.get(joint, OTHER_SIGMA) for joint in plain])
+    sigma = np.array([COCO_SIGMA.get(without_side(joint), OTHER_SIGMA) for joint in joints])
     # The points end at the hip: a standing person's box is twice as high.
     std = faults.scale * sigma * np.sqrt(BOX_SHARE * max(side[0], 0.25 * side[1]) * 2 * side[1]) / np.sqrt(2)
     reach = _first_hit(eye, points[own] - eye, points, bodies, skip=(own, joints))
@@ -242,7 +217,7 @@ def _look(
     lost = (rng.random(len(joints)) < faults.lost) | ~inside | (behind & (rng.random(len(joints)) < 0.5))
     pixels[lost] = np.nan
     surface[lost] = np.nan
-    view = View(taken, camera.name, joints, pixels, std, surface, DEPTH_STD * surface**2, confidence)
+    view = Detection(taken, camera.name, joints, pixels, std, surface, DEPTH_STD * surface**2, confidence)
     return view, behind
 
 

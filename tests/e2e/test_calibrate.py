@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from kinecast.cameras.calibration.board import Board
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.charuco import CharucoBoard
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
 
-BOARD = Board(6, 4, 0.080)
+BOARD = CharucoBoard(6, 4, 0.080)
 LENS = Intrinsics(960, 540, 700.0, 704.0, 471.0, 275.0, (0.06, -0.12, 0.0002, -0.0001, 0.0))
 FINE = 3
 """Rays for each pixel, along each side."""
@@ -38,7 +38,7 @@ CAMERAS = [camera("left", 200.0), camera("middle", 260.0), camera("right", 320.0
 
 def picture(of: PinholeCamera, T_world_board: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The board as the camera sees it, distorted and noisy: a ray for each ninth of a pixel."""
-    face = BOARD._board.generateImage((BOARD.columns * 80, BOARD.rows * 80), marginSize=0)
+    face = BOARD.pattern.generateImage((BOARD.columns * 80, BOARD.rows * 80), marginSize=0)
     i = of.intrinsics
     edge = np.array([[x, y, 0.0] for x in (0, BOARD.columns) for y in (0, BOARD.rows)]) * BOARD.square
     around = of.project(apply(T_world_board, edge))[0]

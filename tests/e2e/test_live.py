@@ -22,7 +22,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.datasets.loading import load
 from kinecast.geometry.transforms import transform

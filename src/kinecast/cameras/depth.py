@@ -1,4 +1,7 @@
-"""Depths of keypoints from a depth image that lies over the colour image, and how sure they are."""
+"""One camera with depth: a pixel, the depth of the skin seen there, and the joint behind it.
+
+The depth image lies over the colour image. Around a keypoint there is the limb, and beside it what is behind it.
+"""
 
 from __future__ import annotations
 
@@ -7,66 +10,48 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt16
 
-__all__ = ["DepthImage", "StereoNoise"]
+from kinecast.cameras.fusion.measurement import SKIN_STD, skin_depths
+from kinecast.cameras.pinhole import PinholeCamera
+from kinecast.cameras.pose_estimator import Keypoints
+from kinecast.live.detection import LEAST_CONFIDENCE, Detection
+from kinecast.types import SkeletonFrame
 
-NEAREST, FARTHEST = 0.1, 20.0
-"""Depths that are believed [m]."""
-HALF_LIMB = 0.02
-"""Half of what is looked at around a keypoint [m]: within a wrist, which is 6 cm wide."""
-LEAST_RADIUS, MOST_RADIUS = 2, 15
-"""The same, in pixels."""
-LEAST_SHARE = 0.2
-"""Of the pixels around a keypoint: fewer at one depth are noise at an edge."""
-GAP = 0.08
-"""Between two surfaces at least [m], beyond what noise makes."""
-REACH = 1.2
-"""Nothing of a person is so far from the middle of their depths [m]: arms are shorter."""
+NEAREST, FARTHEST = 0.1, 20.0  # depths that are believed [m]
+HALF_LIMB = 0.02  # half of what is looked at around a keypoint [m]: within a wrist, which is 6 cm wide
+LEAST_RADIUS, MOST_RADIUS = 2, 15  # the same, in pixels
+LEAST_SHARE = 0.2  # of the pixels around a keypoint: fewer at one depth are noise at an edge
+GAP = 0.08  # between two surfaces at least [m], beyond what noise makes
+REACH = 1.2  # nothing of a person is so far from the middle of their depths [m]: arms are shorter
+DISPARITY_STD = 0.08
+"""Of two images of a calibrated D400 in ordinary scenes [px]: its designer in librealsense, issue 3904."""
 
 
-@dataclass(frozen=True)
-class StereoNoise:
-    """Standard deviation z² · s / (f · b) of a depth z from two images.
+def stereo_noise(focal: float = 424.0, baseline: float = 0.050) -> float:
+    """Standard deviation of a depth from two images, by its square: s / (f · b) [1/m].
 
-    Source: Intel, Tuning depth cameras for best performance; s = 0.08 px of a calibrated D400 in ordinary scenes is
-    from its designer (librealsense, issue 3904).
+    Source: Intel, Tuning depth cameras for best performance.
 
-    Attributes:
-        focal: of the stereo images [px].
+    Args:
+        focal: of the images [px].
         baseline: between them [m].
-        subpixel: standard deviation of a disparity [px].
     """
-
-    focal: float = 424.0
-    baseline: float = 0.050
-    subpixel: float = 0.08
-
-    def std(self, depth: Float[np.ndarray, "*b"]) -> Float[np.ndarray, "*b"]:
-        """(…) [m] of depths (…) [m]."""
-        return depth**2 * (self.subpixel / (self.focal * self.baseline))
+    return DISPARITY_STD / (focal * baseline)
 
 
 @dataclass(frozen=True)
 class DepthImage:
-    """Depths by pixel of the colour image.
+    """Depths by pixel of the colour image."""
 
-    Attributes:
-        values: (h, w) in units; 0 where nothing was measured.
-        unit: of a value [m].
-        focal: of the colour image [px].
-        noise: of the camera.
-    """
-
-    values: UInt16[np.ndarray, "h w"]
-    unit: float
-    focal: float
-    noise: StereoNoise
+    values: UInt16[np.ndarray, "h w"]  # in units; 0 where nothing was measured
+    unit: float  # [m]
+    focal: float  # of the colour image [px]
+    noise: float  # see `stereo_noise`
 
     def at(self, pixels: Float[np.ndarray, "J 2"]) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " J"]]:
         """Depths of the surfaces of one person.
 
-        Around a keypoint there is the limb, and beside it what is behind. Depths there are split where there is a gap,
-        and the nearest part that is no speck is the limb: its median counts. One far from the person's others is of
-        something else.
+        Depths around a keypoint are split where there is a gap, and the nearest part that is no speck is the limb: its
+        median counts. One far from the person's others is of something else.
 
         Args:
             pixels: (J, 2) keypoints of one person [px]; NaN where there is none.
@@ -78,20 +63,17 @@ class DepthImage:
         if not len(coarse):
             return np.full(len(pixels), np.nan), np.full(len(pixels), np.nan)
         radius = int(np.clip(round(self.focal * HALF_LIMB / np.median(coarse)), LEAST_RADIUS, MOST_RADIUS))
-        surfaces = [self._surface(pixel, radius) for pixel in pixels]
-        depths, spreads = np.array(surfaces).reshape(-1, 2).T
+        depths, relief = np.array([self._surface(pixel, radius) for pixel in pixels]).T
         if np.isfinite(depths).any():
-            far = np.abs(depths - np.nanmedian(depths)) > REACH
-            depths = np.where(far, np.nan, depths)
-        return depths, np.sqrt(self.noise.std(depths) ** 2 + spreads**2)
+            depths = np.where(np.abs(depths - np.nanmedian(depths)) > REACH, np.nan, depths)
+        return depths, np.hypot(self.noise * depths**2, relief)
 
     def _surface(self, pixel: Float[np.ndarray, " 2"], radius: int) -> tuple[float, float]:
         """Depth of the nearest surface at a pixel, and half the height of its own relief [m]."""
         values = np.sort(self._patch(pixel, radius))
         if len(values) < LEAST_SHARE * (2 * radius + 1) ** 2:
             return np.nan, np.nan
-        gaps = np.flatnonzero(np.diff(values) > GAP + 3 * self.noise.std(values[:-1])) + 1
-        parts = np.split(values, gaps) if len(gaps) else [values]
+        parts = np.split(values, np.flatnonzero(np.diff(values) > GAP + 3 * self.noise * values[:-1] ** 2) + 1)
         part = next((part for part in parts if len(part) >= LEAST_SHARE * len(values)), values)
         low, middle, high = part[(np.array([0.16, 0.5, 0.84]) * (len(part) - 1)).astype(int)]
         return float(middle), float(high - low) / 2
@@ -99,9 +81,36 @@ class DepthImage:
     def _patch(self, pixel: Float[np.ndarray, " 2"], radius: int) -> Float[np.ndarray, " N"]:
         """Depths around a pixel that are believed [m]."""
         high, wide = self.values.shape
-        if not np.isfinite(pixel).all() or not (0 <= pixel[0] < wide and 0 <= pixel[1] < high):
+        if not (0 <= pixel[0] < wide and 0 <= pixel[1] < high):  # NaN is not
             return np.zeros(0)
         x, y = np.rint(pixel).astype(int)
-        around = self.values[max(y - radius, 0) : y + radius + 1, max(x - radius, 0) : x + radius + 1]
-        depths = around[around > 0] * self.unit
+        depths = self.values[max(y - radius, 0) : y + radius + 1, max(x - radius, 0) : x + radius + 1] * self.unit
         return depths[(depths >= NEAREST) & (depths <= FARTHEST)]
+
+
+def detection_of(
+    stamp: float, camera: str, person: str, joints: tuple[str, ...], keypoints: Keypoints, depths: DepthImage
+) -> Detection:
+    """What one image with depth says of one person; joints that are not sure have no pixel."""
+    pixels = np.where(keypoints.seen[:, None], keypoints.pixels, np.nan)
+    depth, depth_std = depths.at(pixels)
+    return Detection(stamp, camera, joints, pixels, keypoints.pixel_std, depth, depth_std, keypoints.confidence, person)
+
+
+def lifted(seen: Detection, camera: PinholeCamera, frame_id: str = "world") -> SkeletonFrame:
+    """A skeleton from one camera alone: (J, 3) joints behind the skin, along the ray that they are seen on.
+
+    Args:
+        seen: by that camera; joints without a depth are not seen (NaN).
+        camera: at its place in a z-up world.
+        frame_id: name of that world.
+
+    Returns:
+        The frame with Σ = J diag(σ_px², σ_px², σ_d²) Jᵀ of each joint (`PinholeCamera.covariance`), and √(tr Σ / 3).
+    """
+    skin = camera.back_project(seen.pixels, seen.depth)
+    positions = skin + camera.rays(seen.pixels) * skin_depths(seen.joints)[:, None]
+    positions[~(seen.confidence >= LEAST_CONFIDENCE)] = np.nan
+    covariance = camera.covariance(positions, seen.pixel_std, np.hypot(seen.depth_std, SKIN_STD))
+    std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
+    return SkeletonFrame(seen.stamp, seen.joints, positions, seen.person, frame_id, std, covariance)

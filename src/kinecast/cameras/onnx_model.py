@@ -5,23 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Shaped, UInt8
 
 from kinecast.errors import MissingExtraError, ModelError
 
 try:
+    import cv2
     import onnxruntime
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("cameras", "camera") from error
 
-__all__ = ["ImageModel"]
-
-LARGEST_FILE = 1 << 30
-"""Bytes; the largest RTMPose takes 200 MB."""
-LARGEST_SIDE = 2048
-"""Of the image a network takes [px]."""
-LARGEST_OUTPUT = 1 << 24
-"""Numbers in one output; a YOLOX of 80 classes at 640 px gives 700 000."""
+IMAGENET_MEAN = np.array([123.675, 116.28, 103.53], dtype=np.float32)
+IMAGENET_STD = np.array([58.395, 57.12, 57.375], dtype=np.float32)  # of red, green and blue
+LARGEST_FILE = 1 << 30  # bytes; the largest RTMPose takes 200 MB
+LARGEST_SIDE = 2048  # of the image a network takes [px]
+LARGEST_OUTPUT = 1 << 24  # numbers in one output; a YOLOX of 80 classes at 640 px gives 700 000
 THREADS = 2
 
 
@@ -30,11 +28,7 @@ class ImageModel:
 
     Nothing but the file itself is read: a network that keeps its weights in other files is refused by onnxruntime.
 
-    Args:
-        path: the ONNX file.
-
     Attributes:
-        path: as given.
         width, height: of the image it takes [px].
         outputs: names.
         sample: what it gives for an image of zeros.
@@ -48,29 +42,43 @@ class ImageModel:
         self._session = _session(path)
         inputs = self._session.get_inputs()
         if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
-            found = ", ".join(f"{each.name} {each.type} {each.shape}" for each in inputs)
-            raise ModelError(
-                f"{path}: takes {found[:200] or 'nothing'}; expected one float image, 1 x 3 x height x width"
-            )
+            found = ", ".join(f"{each.name} {each.type} {each.shape}" for each in inputs)[:200] or "nothing"
+            raise ModelError(f"{path}: takes {found}; expected one float image, 1 x 3 x height x width")
         self._input = inputs[0].name
         batch, channels, height, width = inputs[0].shape
         if not all(isinstance(side, int) and 16 <= side <= LARGEST_SIDE for side in (height, width)):
-            raise ModelError(
-                f"{path}: takes images of {width} x {height} pixels; both must be fixed, 16..{LARGEST_SIDE}"
-            )
+            allowed = f"both must be fixed, 16..{LARGEST_SIDE}"
+            raise ModelError(f"{path}: takes images of {width} x {height} pixels; {allowed}")
         if channels != 3 or (isinstance(batch, int) and batch != 1):
             raise ModelError(f"{path}: takes {inputs[0].shape}, expected one image of 3 channels")
         self.height, self.width = height, width
         self.outputs = tuple(each.name for each in self._session.get_outputs())
         self.sample = self.run(np.zeros((height, width, 3), dtype=np.float32))
 
-    def run(self, image: Float[np.ndarray, "h w 3"]) -> list[Shaped[np.ndarray, "..."]]:
-        """Every output for an image, float32.
+    def window(
+        self, image: UInt8[np.ndarray, "h w 3"], corner: Float[np.ndarray, " 2"], scale: float, outside: int = 0
+    ) -> Float[np.ndarray, "h2 w2 3"]:
+        """The part of an RGB image that the network is shown.
+
+        Args:
+            image: of any size.
+            corner: where the part's first pixel is in the image [px].
+            scale: pixels of the image in one of the network's.
+            outside: value beyond the image.
+        """
+        back = np.array([[scale, 0.0, corner[0]], [0.0, scale, corner[1]]])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        size = self.width, self.height
+        shown: UInt8[np.ndarray, "h2 w2 3"] = cv2.warpAffine(image, back, size, flags=flags, borderValue=(outside,) * 3)
+        return shown.astype(np.float32)
+
+    def run(self, content: Float[np.ndarray, "h w 3"]) -> list[Shaped[np.ndarray, "..."]]:
+        """Every output for a `window`, in the colours that the network was trained on.
 
         Raises:
             ModelError: it fails, or gives more than is believed.
         """
-        content = np.ascontiguousarray(image.transpose(2, 0, 1))[None]
+        content = np.ascontiguousarray(content.transpose(2, 0, 1))[None]
         try:
             outputs = self._session.run(None, {self._input: content})
         except Exception as error:  # onnxruntime has no common class of its own

@@ -14,23 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from kinecast.body.skeleton import COCO_17, without_side
-from kinecast.cameras.onnx_model import ImageModel
-from kinecast.errors import MissingExtraError, ModelError
+from kinecast.cameras.onnx_model import IMAGENET_MEAN, IMAGENET_STD, ImageModel
+from kinecast.errors import ModelError
 from kinecast.live.detection import LEAST_CONFIDENCE
 
-try:
-    import cv2
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("cameras", "camera") from error
-
-__all__ = ["Keypoints", "PoseEstimator"]
-
 PADDING = 1.25
-MEAN = np.array([123.675, 116.28, 103.53], dtype=np.float32)
-SCALE = np.array([58.395, 57.12, 57.375], dtype=np.float32)
-"""ImageNet's, of red, green and blue."""
-FINEST = 8
-"""Most SimCC bins in a pixel; RTMPose has 2."""
+FINEST = 8  # most SimCC bins in a pixel; RTMPose has 2
 
 _FEET = ("left_foot", None, "left_heel", "right_foot", None, "right_heel")
 _NAMES: dict[int, tuple[str | None, ...]] = {
@@ -50,23 +39,16 @@ _SPREAD = {
 _OTHERS = 0.079
 """By how much people differ who mark a keypoint, as a share of the root of the person's area: σ of COCO's keypoint
 evaluation. It has none for neck, pelvis, hands and feet: they have the shoulders' and hips', and Halpe's for feet."""
-AREA = 0.53
-"""Of a person, as a share of their box: what mmpose takes where there is no mask."""
+AREA = 0.53  # of a person, as a share of their box: what mmpose takes where there is no mask
 
 
 @dataclass(frozen=True)
 class Keypoints:
-    """One person in an image.
+    """One person in an image."""
 
-    Attributes:
-        pixels: (J, 2) [px], of the estimator's joints; also where confidence is low.
-        pixel_std: (J,) standard deviation of both pixel coordinates [px].
-        confidence: (J,) 0..1.
-    """
-
-    pixels: Float[np.ndarray, "J 2"]
-    pixel_std: Float[np.ndarray, " J"]
-    confidence: Float[np.ndarray, " J"]
+    pixels: Float[np.ndarray, "J 2"]  # of the estimator's joints [px]; also where confidence is low
+    pixel_std: Float[np.ndarray, " J"]  # standard deviation of both coordinates [px]
+    confidence: Float[np.ndarray, " J"]  # 0..1
 
     @property
     def seen(self) -> Bool[np.ndarray, " J"]:
@@ -81,13 +63,9 @@ class Keypoints:
 
 
 class PoseEstimator:
-    """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints.
-
-    Args:
-        path: its ONNX file.
+    """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints, in an ONNX file.
 
     Attributes:
-        model: the network.
         joints: canonical names of the keypoints that have one.
 
     Raises:
@@ -105,37 +83,18 @@ class PoseEstimator:
         self._spread = np.array([_SPREAD.get(without_side(joint), _OTHERS) for joint in self.joints])
 
     def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Keypoints:
-        """The keypoints of whoever is in a box.
-
-        Args:
-            image: red, green, blue.
-            box: left, top, right, bottom [px].
+        """The keypoints of whoever is in a box (left, top, right, bottom) [px] of an RGB image.
 
         Raises:
             ModelError: the network fails.
         """
-        corner, scale = self._window(box)
-        return self._read(self.model.run(self._crop(image, corner, scale)), corner, scale)
-
-    def _window(self, box: Float[np.ndarray, " 4"]) -> tuple[Float[np.ndarray, " 2"], float]:
-        """Upper left corner [px] of what the network sees, and image pixels in one of its."""
         middle, size = (box[:2] + box[2:]) / 2, np.maximum(box[2:] - box[:2], 1.0) * PADDING
         inside = np.array([self.model.width, self.model.height])
         scale = float((size / inside).max())
-        return middle - scale * inside / 2, scale
-
-    def _crop(
-        self, image: UInt8[np.ndarray, "h w 3"], corner: Float[np.ndarray, " 2"], scale: float
-    ) -> Float[np.ndarray, "h2 w2 3"]:
-        back = np.array([[scale, 0.0, corner[0]], [0.0, scale, corner[1]]])
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        crop = cv2.warpAffine(image, back, (self.model.width, self.model.height), flags=flags)
-        return (crop - MEAN) / SCALE
-
-    def _read(self, outputs: list[np.ndarray], corner: Float[np.ndarray, " 2"], scale: float) -> Keypoints:
+        corner = middle - scale * inside / 2
+        outputs = self.model.run((self.model.window(image, corner, scale) - IMAGENET_MEAN) / IMAGENET_STD)
         places, confidence = self._peaks(outputs)
-        pixels = corner + scale * places[self._columns]
-        confidence = confidence[self._columns]
+        pixels, confidence = corner + scale * places[self._columns], confidence[self._columns]
         seen = pixels[confidence >= LEAST_CONFIDENCE]
         area = AREA * np.prod(np.ptp(seen, axis=0)) if len(seen) else 0.0
         std = np.maximum(self._spread * np.sqrt(area / 2), scale / 2)  # of one coordinate: d² is of two
@@ -145,20 +104,15 @@ class PoseEstimator:
         """Where each keypoint is in the crop [px], and the height of its peak, 0..1."""
         if len(outputs) == 1:
             places, heights = _heatmap_peaks(outputs[0][0])
+            places = places * (self.model.width / outputs[0].shape[3], self.model.height / outputs[0].shape[2])
         else:
             both = [outputs[place][0] for place in self._order]
             places = np.stack([each.argmax(axis=1) for each in both], axis=1) / self._bins
             heights = np.minimum(both[0].max(axis=1), both[1].max(axis=1))
-        if len(outputs) == 1:
-            places = places * (self.model.width / outputs[0].shape[3], self.model.height / outputs[0].shape[2])
         return places.astype(np.float64), np.clip(np.nan_to_num(heights.astype(np.float64)), 0.0, 1.0)
 
     def _check(self) -> int:
-        """How many keypoints the network gives.
-
-        Raises:
-            ModelError: its outputs are of another kind.
-        """
+        """How many keypoints the network gives."""
         shapes = [each.shape for each in self.model.sample]
         if len(shapes) == 1 and len(shapes[0]) == 4 and shapes[0][0] == 1:
             return shapes[0][1]
@@ -177,10 +131,9 @@ def _heatmap_peaks(maps: Float[np.ndarray, "K h w"]) -> tuple[Float[np.ndarray, 
     """(K, 2) peaks in pixels of the maps, moved a quarter towards the higher neighbour, and (K,) their heights."""
     count, height, width = maps.shape
     flat = maps.reshape(count, -1)
-    top = flat.argmax(axis=1)
+    top, k = flat.argmax(axis=1), np.arange(count)
     y, x = np.divmod(top, width)
-    k = np.arange(count)
-    inner_x, inner_y = np.clip(x, 1, max(width - 2, 1)), np.clip(y, 1, max(height - 2, 1))
-    step_x = np.sign(maps[k, y, np.minimum(inner_x + 1, width - 1)] - maps[k, y, inner_x - 1]) * (x == inner_x)
-    step_y = np.sign(maps[k, np.minimum(inner_y + 1, height - 1), x] - maps[k, inner_y - 1, x]) * (y == inner_y)
+    around = np.pad(maps, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    step_x = np.sign(around[k, y + 1, x + 2] - around[k, y + 1, x]) * ((x > 0) & (x < width - 1))
+    step_y = np.sign(around[k, y + 2, x + 1] - around[k, y, x + 1]) * ((y > 0) & (y < height - 1))
     return np.stack([x + 0.25 * step_x, y + 0.25 * step_y], axis=1), flat[k, top]

@@ -1,61 +1,180 @@
-"""A RealSense camera, or a recording of one, as a source: colour and depth to people's joints."""
+"""A RealSense camera, or a recording of one, as a source: librealsense's colour and depth to people's joints."""
 
 from __future__ import annotations
 
+import ctypes
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8, UInt16
 
-from kinecast.cameras.camera import PinholeCamera
-from kinecast.cameras.depth import DepthImage
-from kinecast.cameras.lifting import lifted, standing, view_of
-from kinecast.cameras.people import PeopleTracker
-from kinecast.cameras.person_detector import PersonDetector
+from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_noise
+from kinecast.cameras.people_tracker import PeopleTracker, PersonDetector
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
-from kinecast.cameras.realsense_stream import Picture, RealSenseStream
-from kinecast.errors import OptionError
+from kinecast.errors import MissingExtraError, OptionError
 from kinecast.live.clock import SourceClock
-from kinecast.live.detection import Deliver, View
+from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
 from kinecast.live.settings import number, whole_number
 
-__all__ = ["RealSenseOptions", "RealSenseSource"]
+RECORDINGS = (".bag", ".db3")  # endings of recordings; librealsense wrote .bag before it wrote .db3
+SILENT = 5.0  # after so long without a frame [s] the camera is opened anew
+RETRY = 1.0  # before a camera that failed is opened anew [s]
+WAIT = 200  # longest wait for a frame before looking whether to end [ms]
 
-RETRY = 1.0
-"""Before a camera that failed is opened anew [s]."""
+
+def _library() -> ModuleType:
+    """pyrealsense2, which needs a libusb that a wheel can bring too.
+
+    Raises:
+        MissingExtraError: it is not installed.
+        OptionError: it cannot be loaded.
+    """
+    try:
+        try:
+            import pyrealsense2
+        except ImportError as error:
+            if "libusb" not in str(error):
+                raise
+            import libusb_package
+
+            ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+            import pyrealsense2
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("RealSense cameras", "camera") from error
+    except (ImportError, OSError) as error:
+        raise OptionError(f"pyrealsense2 cannot be loaded: {error}") from None
+    return pyrealsense2
+
+
+rs = _library()
+"""pyrealsense2."""
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """Colour and depth of one instant."""
+
+    stamp: float  # when it was taken [s], on the camera's clock
+    colour: UInt8[np.ndarray, "h w 3"]  # red, green, blue
+    depth: UInt16[np.ndarray, "h w"]  # by pixel of the colour image, in units; 0 where nothing was measured
+
+
+class RealSenseStream:
+    """A camera, or a recording played at its pace.
+
+    Args:
+        place: a serial number, the path of a recording (see `RECORDINGS`), or nothing for whatever camera there is.
+        size: width and height of both images [px].
+        rate: frames in a second.
+
+    Raises:
+        OptionError: there is no such camera or recording, or it gives no colour and depth.
+    """
+
+    def __init__(self, place: str, size: tuple[int, int] = (848, 480), rate: int = 30) -> None:
+        self.recorded = place.endswith(RECORDINGS)
+        if self.recorded and not Path(place).is_file():
+            raise OptionError(f"{place}: no such file")
+        self._config = rs.config()
+        if self.recorded:
+            self._config.enable_device_from_file(place, repeat_playback=False)
+        else:
+            if place:
+                self._config.enable_device(place)
+            self._config.enable_stream(rs.stream.depth, *size, rs.format.z16, rate)
+            self._config.enable_stream(rs.stream.color, *size, rs.format.rgb8, rate)
+        try:
+            self._read_profile(self._config.resolve(rs.pipeline_wrapper(rs.pipeline())))
+        except RuntimeError as error:
+            what = place or "RealSense camera"
+            raise OptionError(f"{what}: librealsense finds no colour and depth ({error})") from None
+
+    def frames(self, stop: threading.Event) -> Iterator[CameraFrame]:
+        """Frames as they come, the newest first to be had; ends when told to, or with the recording.
+
+        Raises:
+            RuntimeError: the camera fails, or is silent for `SILENT`.
+        """
+        pipeline, align = rs.pipeline(), rs.align(rs.stream.color)
+        device = pipeline.start(self._config).get_device()
+        try:
+            heard = time.monotonic()
+            while not stop.is_set():
+                came, frames = pipeline.try_wait_for_frames(WAIT)
+                if came:
+                    heard = time.monotonic()
+                    aligned = align.process(frames)
+                    colour, depth = aligned.get_color_frame(), aligned.get_depth_frame()
+                    if colour and depth:
+                        pixels = np.asanyarray(colour.get_data())
+                        rgb = pixels if self._format == rs.format.rgb8 else np.ascontiguousarray(pixels[..., ::-1])
+                        yield CameraFrame(colour.get_timestamp() / 1000, rgb, np.asanyarray(depth.get_data()))
+                elif self.recorded and device.as_playback().current_status() == rs.playback_status.stopped:
+                    return
+                elif time.monotonic() - heard > SILENT:
+                    raise RuntimeError(f"no picture for {SILENT:g} s")
+        finally:
+            pipeline.stop()
+
+    def _read_profile(self, profile: Any) -> None:
+        sensor = profile.get_device().first_depth_sensor()
+        colour, depth = (
+            profile.get_stream(kind).as_video_stream_profile() for kind in (rs.stream.color, rs.stream.depth)
+        )
+        self._format = colour.format()
+        if self._format not in (rs.format.rgb8, rs.format.bgr8):
+            raise RuntimeError(f"its colours are {self._format}, expected rgb8 or bgr8")
+        self.unit = float(sensor.get_depth_scale())
+        self.intrinsics = intrinsics_of(colour.get_intrinsics())
+        known = sensor.supports(rs.option.stereo_baseline)
+        baseline = float(sensor.get_option(rs.option.stereo_baseline)) / 1000 if known else 0.050
+        self.noise = stereo_noise(float(depth.get_intrinsics().fx), baseline)
+
+
+def intrinsics_of(found: Any) -> Intrinsics:
+    """librealsense's intrinsics as OpenCV's.
+
+    Its inverse distortion leads from pixels to directions with the coefficients that OpenCV has for the other way:
+    OpenCV's five that lead back best are found by least squares.
+
+    Raises:
+        RuntimeError: librealsense cannot tell the direction of a pixel.
+    """
+    width, height, fx, fy, cx, cy = (getattr(found, name) for name in ("width", "height", "fx", "fy", "ppx", "ppy"))
+    if not any(found.coeffs):
+        return Intrinsics(width, height, fx, fy, cx, cy)
+    pixels = np.stack(np.meshgrid(np.linspace(0, width - 1, 16), np.linspace(0, height - 1, 12)), -1).reshape(-1, 2)
+    x, y = np.array([rs.rs2_deproject_pixel_to_point(found, list(pixel), 1.0)[:2] for pixel in pixels]).T
+    r2 = x * x + y * y
+    to_x = np.stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], axis=1)
+    to_y = np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], axis=1)
+    u, v = ((pixels - (cx, cy)) / (fx, fy)).T
+    coefficients, *_ = np.linalg.lstsq(np.concatenate([to_x, to_y]), np.concatenate([u - x, v - y]), rcond=None)
+    return Intrinsics(width, height, fx, fy, cx, cy, tuple(map(float, coefficients)))
 
 
 @dataclass(frozen=True)
 class RealSenseOptions:
-    """How a camera is used.
+    """How a camera is used."""
 
-    Attributes:
-        model: the pose estimator's ONNX file.
-        detector: the person detector's; None to follow one person without.
-        size: width and height of both images [px].
-        rate: pictures in a second.
-        tilt: by how much the camera looks down [deg].
-        height: of the camera above the world's origin [m].
-    """
-
-    model: Path
-    detector: Path | None = None
-    size: tuple[int, int] = (848, 480)
-    rate: int = 30
-    tilt: float = 0.0
-    height: float = 0.0
+    model: Path  # the pose estimator's ONNX file
+    detector: Path | None = None  # the person detector's; None to follow one person without
+    size: tuple[int, int] = (848, 480)  # width and height of both images [px]
+    rate: int = 30  # frames in a second
+    tilt: float = 0.0  # by how much the camera looks down [deg]
+    height: float = 0.0  # of the camera above the world's origin [m]
 
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> RealSenseOptions:
-        """From what stands behind the question mark.
-
-        Args:
-            settings: those given.
-            text: of the source, for messages.
+        """From the settings of a source, whose text is for messages.
 
         Raises:
             OptionError: one outside its range, or no model.
@@ -77,18 +196,14 @@ class RealSenseOptions:
 
 
 class RealSenseSource:
-    """Estimates everybody's pose in each picture, in a thread of its own; a camera that fails is opened anew.
+    """Estimates everybody's pose in each frame, in a thread of its own; a camera that fails is opened anew.
 
     Args:
         name: for messages.
         feed: where frames go, and failures are counted.
-        place: a serial number, the path of a recording, or nothing.
-        options: how.
-        deliver: takes what is seen; None for skeletons from this camera alone, in a world that begins below it.
-
-    Attributes:
-        stream: of the camera.
-        intrinsics: of the colour image.
+        place: see RealSenseStream.
+        options: how the camera is used.
+        handler: takes what is seen; None for skeletons from this camera alone, in a world that begins below it.
 
     Raises:
         OptionError: there is no such camera.
@@ -96,27 +211,25 @@ class RealSenseSource:
     """
 
     def __init__(
-        self, name: str, feed: Feed, place: str, options: RealSenseOptions, deliver: Deliver | None = None
+        self, name: str, feed: Feed, place: str, options: RealSenseOptions, handler: DetectionHandler | None = None
     ) -> None:
         detector = None if options.detector is None else PersonDetector(options.detector)
         self._people = PeopleTracker(PoseEstimator(options.model), detector)
         self.stream = RealSenseStream(place, options.size, options.rate)
         self.address = name
         self.intrinsics = self.stream.intrinsics
-        self._camera = PinholeCamera(name, self.intrinsics, standing(options.height, float(np.radians(options.tilt))))
+        self._camera = PinholeCamera(name, self.intrinsics, level_pose(options.height, float(np.radians(options.tilt))))
         self._feed = feed
-        self._deliver = deliver or self._lift
+        self._handler = handler or self._lift
         self._clock = SourceClock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begins."""
         self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stops, and waits until it has."""
         self._stop.set()
         if self._thread:
             self._thread.join()
@@ -124,8 +237,8 @@ class RealSenseSource:
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                for picture in self.stream.pictures(self._stop):
-                    self._see(picture, time.monotonic())
+                for frame in self.stream.frames(self._stop):
+                    self._detect(frame, time.monotonic())
             except Exception as problem:  # of librealsense, onnxruntime, the camera: none may end the others
                 self._feed.refuse(f"{type(problem).__name__}: {problem}")
             else:
@@ -134,17 +247,17 @@ class RealSenseSource:
                 break
         self._feed.end()
 
-    def _see(self, picture: Picture, arrived: float) -> None:
-        found = self._people.follow(picture.colour)
-        depths = DepthImage(picture.depth, self.stream.unit, self.intrinsics.fx, self.stream.noise)
+    def _detect(self, frame: CameraFrame, arrived: float) -> None:
+        found = self._people.update(frame.colour)
+        depths = DepthImage(frame.depth, self.stream.unit, self.intrinsics.fx, self.stream.noise)
         joints = self._people.estimator.joints
-        views = [view_of(picture.stamp, self.address, name, joints, each, depths) for name, each in found.items()]
+        people = [detection_of(frame.stamp, self.address, name, joints, each, depths) for name, each in found.items()]
         jumps = self._clock.jumps
-        acquired = self._clock.acquired(picture.stamp, arrived)
+        acquired = self._clock.acquired(frame.stamp, arrived)
         self._feed.clock_jumps += self._clock.jumps - jumps
         self._feed.difference = self._clock.difference
-        self._deliver(picture.stamp, views, acquired)
+        self._handler(frame.stamp, people, acquired)
 
-    def _lift(self, _stamp: float, views: Sequence[View], acquired: float) -> None:
-        for view in views:
-            self._feed.put(lifted(view, self._camera), acquired)
+    def _lift(self, _stamp: float, people: Sequence[Detection], acquired: float) -> None:
+        for person in people:
+            self._feed.put(lifted(person, self._camera), acquired)

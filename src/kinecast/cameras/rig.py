@@ -10,39 +10,25 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.entries import Entry, built, parse_yaml, read_text
 from kinecast.geometry.transforms import from_quaternion, to_quaternion, transform
 
-__all__ = ["Rig"]
-
-MOST_CAMERAS = 16
-LARGEST_IMAGE = 20e3
-"""Pixels a side."""
-LARGEST_FOCAL = 1e6
-LARGEST_COEFFICIENT = 1e3
-LONGEST_NAME = 64
+MOST_CAMERAS, LONGEST_NAME = 16, 64
+LARGEST_IMAGE, LARGEST_FOCAL, LARGEST_COEFFICIENT = 20e3, 1e6, 1e3  # of a rig file; the first two in pixels
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras by name.
-
-    Attributes:
-        cameras: each at its place in the world.
-        frame_id: name of the world's coordinate frame, z up.
-    """
+    """Cameras by name, each at its place in the world."""
 
     cameras: Mapping[str, PinholeCamera]
-    frame_id: str = "world"
+    frame_id: str = "world"  # name of the world's coordinate frame, z up
 
     def __post_init__(self) -> None:
         if not 0 < len(self.cameras) <= MOST_CAMERAS:
             raise OptionError(f"{len(self.cameras)} cameras: 1 to {MOST_CAMERAS} make a rig")
-        wrong = next((name for name, camera in self.cameras.items() if name != camera.name), None)
-        if wrong is not None:
-            raise OptionError(f"camera {self.cameras[wrong].name!r} is entered as {wrong!r}")
 
     @classmethod
     def load(cls, path: str | Path) -> Rig:
@@ -55,23 +41,12 @@ class Rig:
 
     @classmethod
     def from_yaml(cls, text: str, where: object = "rig") -> Rig:
-        """The rig a YAML text describes.
-
-        Args:
-            text: the content of a rig file.
-            where: named in errors, e.g. the file.
-
-        Raises:
-            DatasetError: names the entry, what was found and what is allowed.
-        """
+        """The rig a YAML text describes, found in `where`; see `load`."""
         root = Entry(where, "", parse_yaml(text, where), ("frame_id", "cameras"))
         frame_id = root.values.get("frame_id", "world")
         if not isinstance(frame_id, str) or not _is_name(frame_id):
             raise root.error(f"expected a name of 1 to {LONGEST_NAME} characters, found {frame_id!r}", "frame_id")
         entries = root.named_children("cameras")
-        for name, entry in entries.items():
-            if not _is_name(name):
-                raise entry.error(f"a camera's name has 1 to {LONGEST_NAME} printable characters")
         cameras = {name: built(entry, partial(_camera, name)) for name, entry in entries.items()}
         try:
             return cls(cameras, frame_id)
@@ -89,6 +64,8 @@ def _is_name(text: str) -> bool:
 
 
 def _camera(name: str, entry: Entry) -> PinholeCamera:
+    if not _is_name(name):
+        raise entry.error(f"a camera's name has 1 to {LONGEST_NAME} printable characters")
     entry.only("size", "focal", "center", "distortion", "position", "quaternion")
     width, height = entry.vector("size", 2, "px", LARGEST_IMAGE)
     if width != int(width) or height != int(height):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from kinecast.cameras.camera import PinholeCamera
+from kinecast.cameras.pinhole import PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.cli.destination import check_file
 from kinecast.cli.progress import note
@@ -18,18 +18,13 @@ from kinecast.errors import DatasetError, OptionError
 from kinecast.evaluation.output import write_atomically
 
 if TYPE_CHECKING:
-    from kinecast.cameras.calibration.board import Board, Corners
-    from kinecast.cameras.calibration.places import Places
-
-__all__ = ["calibrate"]
+    from kinecast.cameras.calibration import Extrinsics
+    from kinecast.cameras.charuco import CharucoBoard, Corners
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 MOST_PICTURES = 500
-BAD = 1.5
-"""Corners so far from where they should be [px] on the average say that something is wrong."""
-
-VAGUE = 0.003
-"""Of the picture's width: an uncertainty of the lens that moves a joint at 3 m by a centimetre."""
+BAD = 1.5  # corners so far from where they should be [px] on the average say that something is wrong
+VAGUE = 0.003  # of the picture's width: an uncertainty of the lens that moves a joint at 3 m by a centimetre
 
 Cameras = Annotated[tuple[str, ...], arg(metavar="NAME=FOLDER [NAME=FOLDER ...]", help_behavior_hint="")]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
@@ -61,12 +56,12 @@ def calibrate(
         intrinsics: a rig file whose lenses are taken as they are; others are found from the pictures.
         board: writes a board to print, a PNG, and ends.
     """
-    from kinecast.cameras.calibration.board import Board  # here, since OpenCV is an extra
+    from kinecast.cameras.charuco import CharucoBoard  # here, since OpenCV is an extra
 
     match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", squares)
     if match is None:
         raise OptionError(f"--squares {squares}: expected two numbers such as 5x4")
-    printed = Board(int(match[1]), int(match[2]), square)
+    printed = CharucoBoard(int(match[1]), int(match[2]), square)
     if board is not None:
         check_file(board, (".png",), "--board")
         write_atomically(board, printed.picture())
@@ -83,12 +78,7 @@ def calibrate(
 
 
 def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
-    """Names and folders.
-
-    Raises:
-        OptionError: there are none, or a name is there twice.
-        DatasetError: a folder is none.
-    """
+    """Folders by name."""
     if not texts:
         raise OptionError("NAME=FOLDER: at least one camera is needed, or --board FILE for a board to print")
     folders: dict[str, Path] = {}
@@ -105,15 +95,19 @@ def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
 
 
 def _solved(
-    folders: Mapping[str, Path], board: Board, origin: str | None, height: float, known: Mapping[str, PinholeCamera]
+    folders: Mapping[str, Path],
+    board: CharucoBoard,
+    origin: str | None,
+    height: float,
+    known: Mapping[str, PinholeCamera],
 ) -> tuple[Rig, list[str]]:
     """The rig, and what to say about it."""
-    from kinecast.cameras.calibration.places import lens_of, place_cameras
+    from kinecast.cameras.calibration import find_extrinsics, find_intrinsics
 
-    shots, lenses, counts, lens_errors = {}, {}, {}, {}
+    views, lenses, counts, lens_errors = {}, {}, {}, {}
     for name, folder in folders.items():
-        shots[name], size, counts[name] = _pictures(folder, board)
-        if not shots[name]:
+        views[name], size, counts[name] = _pictures(folder, board)
+        if not views[name]:
             raise DatasetError(
                 folder, f"a board of {board.columns}x{board.rows} squares is seen in none of {counts[name]} pictures"
             )
@@ -125,70 +119,62 @@ def _solved(
                 )
             lenses[name], lens_errors[name] = lens, "given"
         else:
-            found = lens_of(name, shots[name], size)
-            lenses[name], lens_errors[name] = found.intrinsics, f"{found.error:.2f} px"
-            if found.spread > VAGUE * size[0]:
+            lenses[name], error, std = find_intrinsics(name, views[name], size)
+            lens_errors[name] = f"{error:.2f} px"
+            if std > VAGUE * size[0]:
                 advice = "take more pictures of a tilted board that fills much of the picture, in all its corners"
-                note(f"{name}: its lens is known to {found.spread:.0f} px only; {advice}", "yellow")
-    first = origin or min(moment for each in shots.values() for moment in each)
+                note(f"{name}: its lens is known to {std:.0f} px only; {advice}", "yellow")
+    first = origin or min(moment for each in views.values() for moment in each)
     T_world_board = np.diag([1.0, -1.0, -1.0, 1.0])  # out of the printed face is up
     T_world_board[:3, 3] = (0.0, board.height, height)
-    places = place_cameras(lenses, shots, Path(first).stem, T_world_board)
-    rig = Rig({name: PinholeCamera(name, lenses[name], places.T_world_camera[name]) for name in folders})
-    return rig, _table(rig, shots, counts, lens_errors, places)
+    extrinsics = find_extrinsics(lenses, views, Path(first).stem, T_world_board)
+    rig = Rig({name: PinholeCamera(name, lenses[name], extrinsics.T_world_camera[name]) for name in folders})
+    return rig, _table(rig, views, counts, lens_errors, extrinsics)
 
 
-def _pictures(folder: Path, board: Board) -> tuple[dict[str, Corners], tuple[int, int], int]:
-    """What is seen of the board in each picture of a folder; the pictures' size, and how many there are.
-
-    Raises:
-        DatasetError: no pictures, too many, or of different sizes.
-    """
+def _pictures(folder: Path, board: CharucoBoard) -> tuple[dict[str, Corners], tuple[int, int], int]:
+    """What is seen of the board in each picture of a folder; the pictures' size, and how many there are."""
     import cv2
 
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
     if not 0 < len(paths) <= MOST_PICTURES:
         raise DatasetError(folder, f"{len(paths)} pictures ({', '.join(ENDINGS)}), 1 to {MOST_PICTURES} are taken")
     found: dict[str, Corners] = {}
-    size: tuple[int, int] | None = None
+    width = height = 0
     for path in paths:
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if picture is None:
             raise DatasetError(path, "no picture can be read from it")
-        mine = picture.shape[1], picture.shape[0]
-        if size is not None and mine != size:
-            raise DatasetError(path, f"{mine[0]}x{mine[1]} pixels, but those before have {size[0]}x{size[1]}")
-        size = mine
+        if width and picture.shape != (height, width):
+            mine = f"{picture.shape[1]}x{picture.shape[0]}"
+            raise DatasetError(path, f"{mine} pixels, but those before have {width}x{height}")
+        height, width = picture.shape
         corners = board.corners(picture)
         if corners is not None:
             found[path.stem] = corners
-    assert size is not None
-    return found, size, len(paths)
+    return found, (width, height), len(paths)
 
 
 def _table(
     rig: Rig,
-    shots: Mapping[str, Mapping[str, Corners]],
+    views: Mapping[str, Mapping[str, Corners]],
     counts: Mapping[str, int],
     lens_errors: Mapping[str, str],
-    places: Places,
+    extrinsics: Extrinsics,
 ) -> list[str]:
     """One line for each camera."""
     width = max(len("camera"), *map(len, rig.cameras))
     lines = [f"{'camera':{width}}  pictures  used  lens      place     x [m]    y [m]    z [m]   ± [mm]  ± [°]"]
     for name, camera in rig.cameras.items():
-        used = len(shots[name]) - len(places.left_out[name])
+        used = len(views[name]) - len(extrinsics.left_out[name])
         x, y, z = camera.T_world_camera[:3, 3]
-        shift, turn = places.spread[name]
+        shift, turn = extrinsics.std[name]
         spread = f"{1e3 * shift:7.1f}  {np.degrees(turn):5.2f}" if shift else "      –      –"
         lines.append(
-            f"{name:{width}}  {counts[name]:8}  {used:4}  {lens_errors[name]:8}  {places.error[name]:.2f} px  "
+            f"{name:{width}}  {counts[name]:8}  {used:4}  {lens_errors[name]:8}  {extrinsics.error[name]:.2f} px  "
             f"{x:7.3f}  {y:7.3f}  {z:7.3f}  {spread}"
         )
-        if places.error[name] > BAD:
-            note(
-                f"{name}: corners are {places.error[name]:.1f} px off: was the board bent, or moving?",
-                "yellow",
-            )
+        if extrinsics.error[name] > BAD:
+            note(f"{name}: corners are {extrinsics.error[name]:.1f} px off: was the board bent, or moving?", "yellow")
     lines.append("± is against the first camera; how level the world is, is how level the board lay.")
     return lines

@@ -66,7 +66,7 @@ def live(
         level: probability that each tube holds.
         seed: of the draws.
     """
-    from kinecast.cameras.fused import FusedSource
+    from kinecast.cameras.fused_source import FusedSource
     from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
     from kinecast.cli.live_opening import open_sinks, open_sources, read_sink, read_source
     from kinecast.live.loop import Live, Source

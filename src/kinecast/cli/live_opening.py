@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.live.admission import Admission
-from kinecast.live.detection import Deliver
+from kinecast.live.detection import DetectionHandler
 from kinecast.live.loop import Source
 from kinecast.live.mailbox import Feed, Mailbox
 from kinecast.live.mcap import McapSink
@@ -24,7 +24,7 @@ from kinecast.live.xsens import DEFAULT_PORT, XsensAdmission, XsensOptions
 from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
-    from kinecast.cameras.fused import FusedSource
+    from kinecast.cameras.fused_source import FusedSource
 
 __all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_source"]
 
@@ -199,14 +199,14 @@ def _realsense(source: Description, place: str, mailbox: Mailbox, fused: FusedSo
     return opened
 
 
-def _deliverer(source: Description, feed: Feed, fused: FusedSource | None) -> Deliver | None:
+def _deliverer(source: Description, feed: Feed, fused: FusedSource | None) -> DetectionHandler | None:
     """Where a source delivers what its camera of the rig sees; None where it is of no such camera."""
     camera = source.settings.get("camera")
     if camera is None:
         return None
     if fused is None:
         raise OptionError(f"{source.text}: a camera needs --rig, the file that says where it stands")
-    return fused.deliverer(camera, feed)
+    return fused.handler(camera, feed)
 
 
 def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink], scene: Scene | None = None) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Hashable
 from typing import Protocol, runtime_checkable
 
 from kinecast.live.clock import SourceClock
-from kinecast.live.detection import View
+from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError, decode
 from kinecast.types import SkeletonFrame
@@ -23,14 +23,14 @@ FORGET = 2.0
 
 @runtime_checkable
 class CameraFusion(Protocol):
-    """Where what several cameras see goes (kinecast.cameras.fused)."""
+    """Where what several cameras see goes (kinecast.cameras.fused_source)."""
 
     @property
     def cameras(self) -> Collection[str]:
         """Names of the rig's cameras."""
         ...
 
-    def put(self, camera: str, feed: Feed, person: View | SkeletonFrame, acquired: float) -> None:
+    def put(self, camera: str, feed: Feed, person: Detection | SkeletonFrame, acquired: float) -> None:
         """Takes one person as one camera saw them; `acquired` [s] is on `time.monotonic`."""
         ...
 
@@ -69,7 +69,7 @@ class Admission:
         except MessageError as problem:
             self._feed.refuse(str(problem))
 
-    def admit(self, frame: SkeletonFrame | View, sender: Hashable, arrived: float) -> None:
+    def admit(self, frame: SkeletonFrame | Detection, sender: Hashable, arrived: float) -> None:
         """A frame that was read already; see `take`.
 
         Raises:
@@ -102,19 +102,19 @@ class Admission:
         self._senders[sender] = clock, arrived
         return clock
 
-    def _camera_of(self, frame: SkeletonFrame | View) -> str:
+    def _camera_of(self, frame: SkeletonFrame | Detection) -> str:
         """The rig's camera whose frame it is; empty for a skeleton in the world."""
         if self._fused is None:
-            if isinstance(frame, View):
+            if isinstance(frame, Detection):
                 raise MessageError("pixels need --rig, a file of cameras")
             return ""
         cameras = self._fused.cameras
-        name = frame.camera if isinstance(frame, View) else frame.frame_id
-        named = name if isinstance(frame, View) or name in cameras else ""
+        name = frame.camera if isinstance(frame, Detection) else frame.frame_id
+        named = name if isinstance(frame, Detection) or name in cameras else ""
         if named and self._camera and named != self._camera:
             raise MessageError(f"camera {named!r}, but this source is of camera {self._camera!r}")
         camera = named or self._camera
-        if isinstance(frame, View) and camera not in cameras:
+        if isinstance(frame, Detection) and camera not in cameras:
             raise MessageError(f"camera {camera!r} is not in the rig, which has {', '.join(cameras)}")
         return camera
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from kinecast.body.skeleton import JOINTS, SKELETONS, Skeleton, require_arms
 from kinecast.errors import DatasetError, MissingExtraError
-from kinecast.live.detection import View
+from kinecast.live.detection import Detection
 from kinecast.types import SkeletonFrame
 
 try:
@@ -70,7 +70,7 @@ _SKELETONS = {skeleton.name: skeleton for skeleton in SKELETONS}
 _CANONICAL = Skeleton("kinecast", JOINTS, {joint: joint for joint in JOINTS})
 
 
-def decode(content: bytes | str) -> SkeletonFrame | View:
+def decode(content: bytes | str) -> SkeletonFrame | Detection:
     """A person from a message: a skeleton, or where one camera sees their joints.
 
     Args:
@@ -123,7 +123,7 @@ def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
     )
 
 
-def _view(message: SkeletonMessage, rows: list[list[float | None] | None]) -> View:
+def _view(message: SkeletonMessage, rows: list[list[float | None] | None]) -> Detection:
     if len(rows) > MOST_JOINTS:
         raise MessageError(f"{len(rows)} pixels, at most {MOST_JOINTS} are taken")
     columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), len(rows))
@@ -137,7 +137,7 @@ def _view(message: SkeletonMessage, rows: list[list[float | None] | None]) -> Vi
             raise MessageError(f"{len(values)} {name} for {len(rows)} pixels")
         return np.full(len(columns), missing) if values is None else _numbers(values)[list(columns)]
 
-    return View(
+    return Detection(
         float(message.stamp),
         _name(message.camera, "camera") if message.camera else "",
         joints,

@@ -10,16 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
-from kinecast.cameras.fused import FusedSource
+from kinecast.cameras.fused_source import FusedSource
 from kinecast.cameras.fusion.fusion import ELSEWHERE, Fusion
-from kinecast.cameras.fusion.sighting import FLESH
-from kinecast.cameras.fusion.track import CONFIRMED, SHOWN
+from kinecast.cameras.fusion.measurement import skin_depths
+from kinecast.cameras.fusion.person import CONFIRMED, SHOWN
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, transform
 from kinecast.live.admission import Admission
-from kinecast.live.detection import View
+from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Mailbox
 from kinecast.types import SkeletonFrame
 
@@ -45,24 +45,23 @@ def camera(name: str, azimuth: float) -> PinholeCamera:
 
 
 RIG = Rig({name: camera(name, azimuth) for name, azimuth in (("a", -60.0), ("b", 45.0), ("c", 170.0))}, "cell")
-FLESH_OF = np.array([FLESH[joint.removeprefix("left_").removeprefix("right_")] for joint in JOINTS])
 
 
 def look(
     name: str, place: np.ndarray, rng: np.random.Generator | None = None, pixel_std: float = 3.0, deep: bool = True
-) -> View:
+) -> Detection:
     """What a camera sees of a person, exactly or with noise."""
     of = RIG.cameras[name]
     pixels, depth = of.project(place)
     along = of.rays(pixels) @ of.T_world_camera[:3, 2]
-    surface = depth - FLESH_OF * along
+    surface = depth - skin_depths(JOINTS) * along
     depth_std = 0.0024 * depth**2
     if rng is not None:
         pixels = pixels + rng.normal(0, pixel_std, pixels.shape)
         surface = surface + rng.normal(0, depth_std)
     if not deep:
         surface = np.full(len(place), np.nan)
-    return View(0.0, name, JOINTS, pixels, np.full(len(place), pixel_std), surface, depth_std, np.ones(len(place)))
+    return Detection(0.0, name, JOINTS, pixels, np.full(len(place), pixel_std), surface, depth_std, np.ones(len(place)))
 
 
 def still(_: float) -> np.ndarray:
@@ -74,7 +73,7 @@ def play(
     motion: Motion | Sequence[Motion],
     seconds: float = 1.0,
     cameras: Sequence[str] = ("a", "b", "c"),
-    change: Callable[[str, float, list[View]], list[View]] = lambda _name, _time, views: views,
+    change: Callable[[str, float, list[Detection]], list[Detection]] = lambda _name, _time, views: views,
     **how: object,
 ) -> list[SkeletonFrame]:
     """Every frame that comes out while people move before cameras that are not synchronised."""
@@ -138,7 +137,7 @@ def test_noise_is_averaged_and_its_size_is_told() -> None:
 def test_a_view_that_is_wrong_is_thrown_out() -> None:
     fusion = Fusion(RIG)
 
-    def push(name: str, time: float, views: list[View]) -> list[View]:
+    def push(name: str, time: float, views: list[Detection]) -> list[Detection]:
         return (
             [replace(v, pixels=v.pixels + np.array([90.0, 0.0])) for v in views]
             if name == "b" and 0.5 < time < 1.0
@@ -152,7 +151,7 @@ def test_a_view_that_is_wrong_is_thrown_out() -> None:
 
 
 def test_one_wrong_joint_and_one_wrong_depth_are_left_out() -> None:
-    def spoil(name: str, _time: float, views: list[View]) -> list[View]:
+    def spoil(name: str, _time: float, views: list[Detection]) -> list[Detection]:
         pixels, depth = views[0].pixels.copy(), views[0].depth.copy()
         if name == "a":
             pixels[2] += (120, -40)
@@ -165,7 +164,7 @@ def test_one_wrong_joint_and_one_wrong_depth_are_left_out() -> None:
 
 
 def test_a_hidden_joint_is_given_while_anybody_sees_it_and_not_for_long_after() -> None:
-    def hide(name: str, time: float, views: list[View]) -> list[View]:
+    def hide(name: str, time: float, views: list[Detection]) -> list[Detection]:
         pixels = views[0].pixels.copy()
         if time > 0.3 and (name == "a" or time > 0.6):
             pixels[2] = np.nan
@@ -185,7 +184,7 @@ def test_two_who_cross_keep_their_names_though_cameras_swap_them() -> None:
     def west(time: float) -> np.ndarray:
         return REST * (-1, -1, 1) + np.array([0.9 - 1.2 * time, -0.3, 0])
 
-    def by_place(_name: str, _time: float, views: list[View]) -> list[View]:
+    def by_place(_name: str, _time: float, views: list[Detection]) -> list[Detection]:
         return sorted(views, key=lambda view: float(view.pixels[:, 0].mean()))
 
     fusion = Fusion(RIG)
@@ -226,7 +225,7 @@ def test_a_swing_is_followed_without_lag() -> None:
 def test_whoever_leaves_is_forgotten_and_comes_back_as_another() -> None:
     fusion = Fusion(RIG)
 
-    def gone(_name: str, time: float, views: list[View]) -> list[View]:
+    def gone(_name: str, time: float, views: list[Detection]) -> list[Detection]:
         return [] if 0.4 < time < 1.6 else views
 
     frames = play(fusion, still, 2.0, change=gone)
@@ -261,7 +260,7 @@ def test_nothing_that_views_say_raises() -> None:
     for k in range(120):
         name = ("a", "b", "c", "who")[rng.integers(4)]
         stamp += rng.choice([0.0, 0.01, 0.033, -0.05, 0.4, 5.0, 1e6], p=[0.1, 0.3, 0.3, 0.2, 0.06, 0.03, 0.01])
-        people: list[View | SkeletonFrame] = []
+        people: list[Detection | SkeletonFrame] = []
         for _ in range(rng.integers(0, 4)):
             view = look("abc"[rng.integers(3)], REST + rng.normal(0, 0.5, 3))
             parts = {}
@@ -287,9 +286,9 @@ def test_cameras_of_a_rig_are_one_source_that_ends_when_they_all_have() -> None:
     mailbox = Mailbox()
     source = FusedSource(RIG, mailbox.feed("fusion"))
     feeds = {name: mailbox.feed(name) for name in RIG.cameras}
-    deliver = {name: source.deliverer(name, feed) for name, feed in feeds.items()}
+    deliver = {name: source.handler(name, feed) for name, feed in feeds.items()}
     with pytest.raises(OptionError, match="camera 'd' is not in the rig, which has a, b, c"):
-        source.deliverer("d", feeds["a"])
+        source.handler("d", feeds["a"])
     source.start()
     frames: list[SkeletonFrame] = []
     begun = time.monotonic()
@@ -304,8 +303,11 @@ def test_cameras_of_a_rig_are_one_source_that_ends_when_they_all_have() -> None:
             break
     for feed in feeds.values():
         feed.end()
-    while not mailbox.finished:
+    for _ in range(60):
+        if mailbox.finished:
+            break
         mailbox.take(1.0)
+    assert mailbox.finished
     source.close()
     assert len(frames) >= 10
     assert max(error(frame, still).max() for frame in frames) < 1e-3
@@ -350,6 +352,6 @@ def test_messages_of_pixels_and_of_a_cameras_own_skeletons_reach_the_fusion() ->
     Admission(feed, source, "b").take(json.dumps(common | seen), "sender", time.monotonic())
     assert feed.refused == refused + 3
     admission.take(json.dumps(common | {"positions": REST.tolist()}), "sender", time.monotonic())  # in the world
-    arrivals = iter(lambda: mailbox.take(1.0), None)
-    assert any(each.feed is feed for each in arrivals)
+    arrivals = (mailbox.take(1.0) for _ in range(60))
+    assert any(each is not None and each.feed is feed for each in arrivals)
     source.close()

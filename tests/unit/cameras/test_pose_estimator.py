@@ -13,8 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from kinecast.body.skeleton import ARM_JOINTS, COCO_17, JOINTS
 from kinecast.cameras.onnx_model import ImageModel
-from kinecast.cameras.people import DETECT_EVERY, MOST_PEOPLE, PeopleTracker
-from kinecast.cameras.person_detector import PersonDetector
+from kinecast.cameras.people_tracker import DETECT_EVERY, MOST_PEOPLE, PeopleTracker, PersonDetector
 from kinecast.cameras.pose_estimator import PoseEstimator
 from kinecast.errors import ModelError
 
@@ -248,7 +247,7 @@ def test_numbers_that_are_none_find_nobody_and_raise_nothing(value: float, tmp_p
     network(tmp_path / "yolox_nms.onnx", {"dets": (1, 3, 5)}, value=value)
     network(tmp_path / "pose.onnx", SIMCC, value=value)
     people = PeopleTracker(PoseEstimator(tmp_path / "pose.onnx"), PersonDetector(tmp_path / "yolox.onnx"))
-    assert people.follow(black()) == {}
+    assert people.update(black()) == {}
     assert not len(PersonDetector(tmp_path / "yolox_nms.onnx").find(black()))
 
 
@@ -258,11 +257,11 @@ def test_one_person_is_followed_without_a_detector_lost_and_found(
     tracker = PeopleTracker(PoseEstimator(blob_network(17)))
     for step in range(12):
         moved = PERSON + np.array([9.0 * step, 0.0])
-        found = tracker.follow(blobs(black(), moved, 10.0))
+        found = tracker.update(blobs(black(), moved, 10.0))
         assert list(found) == ["0"]
         np.testing.assert_allclose(found["0"].pixels[5:], moved[5:], atol=5 if step else 10)
-    assert tracker.follow(black()) == {}
-    assert list(tracker.follow(blobs(black(), PERSON - np.array([120.0, 0.0]), 10.0))) == ["1"]
+    assert tracker.update(black()) == {}
+    assert list(tracker.update(blobs(black(), PERSON - np.array([120.0, 0.0]), 10.0))) == ["1"]
 
 
 def test_several_are_followed_with_a_detector(
@@ -278,7 +277,7 @@ def test_several_are_followed_with_a_detector(
             blobs(image, PERSON * 0.8 + np.array([offset, 20.0]), 5.0)
             image[200:256, 236 + offset : 276 + offset] = 255  # a bright shirt, for the detector
             blobs(image, PERSON * 0.8 + np.array([offset, 20.0]), 5.0)
-        return {name: each.pixels[:, 0].mean() for name, each in tracker.follow(image).items()}
+        return {name: each.pixels[:, 0].mean() for name, each in tracker.update(image).items()}
 
     first = seen(-150, 150)
     assert len(first) == 2

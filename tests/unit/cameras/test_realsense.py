@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,18 +19,23 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS, COCO_17
 from kinecast.cameras import realsense
-from kinecast.cameras.camera import Intrinsics, PinholeCamera
-from kinecast.cameras.depth import DepthImage, StereoNoise
-from kinecast.cameras.fused import FusedSource
-from kinecast.cameras.fusion.sighting import FLESH
-from kinecast.cameras.lifting import lifted, standing
-from kinecast.cameras.realsense import RealSenseOptions, RealSenseSource
-from kinecast.cameras.realsense_stream import Picture, RealSenseStream, intrinsics_of, rs
+from kinecast.cameras.depth import DepthImage, lifted, stereo_noise
+from kinecast.cameras.fused_source import FusedSource
+from kinecast.cameras.fusion.measurement import skin_depths
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
+from kinecast.cameras.realsense import (
+    CameraFrame,
+    RealSenseOptions,
+    RealSenseSource,
+    RealSenseStream,
+    intrinsics_of,
+    rs,
+)
 from kinecast.cameras.rig import Rig
 from kinecast.cli import main
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.transforms import apply, inverse
-from kinecast.live.detection import View
+from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Mailbox
 from kinecast.types import SkeletonFrame
 
@@ -42,8 +48,10 @@ BODY = np.array(
 """COCO's 17 in the world [m], of somebody 2.4 m in front of a camera at the origin, who faces it."""
 BONES = ((5, 7), (7, 9), (6, 8), (8, 10), (5, 6), (5, 11), (6, 12), (11, 12), (11, 13), (13, 15), (12, 14), (14, 16),
          (0, 5), (0, 6), (3, 4))  # fmt: skip
-SKIN = np.array([FLESH.get(joint.split("_")[-1], 0.0) for joint in COCO_17.joints])
+SKIN = skin_depths(COCO_17.joints)
 WALL = 3.6
+LONG = 120.0
+"""Longest wait for anything [s]."""
 SIZE = (640, 480)
 HEIGHT, TILT = 1.3, 4.0
 COLOUR = Intrinsics(*SIZE, 430.0, 430.0, 322.0, 238.0)
@@ -68,14 +76,14 @@ def drawn_depth(points: np.ndarray, intrinsics: Intrinsics, unit: float = 0.001)
 
 
 def image_of(depth: np.ndarray, focal: float = COLOUR.fx) -> DepthImage:
-    return DepthImage(depth, 0.001, focal, StereoNoise())
+    return DepthImage(depth, 0.001, focal, stereo_noise())
 
 
 # Depths
 
 
 def test_depth_noise_is_that_of_a_calibrated_d435() -> None:
-    np.testing.assert_allclose(StereoNoise().std(np.array([1.0, 2.0])), [0.0038, 0.0151], atol=1e-4)
+    np.testing.assert_allclose(stereo_noise() * np.array([1.0, 4.0]), [0.0038, 0.0151], atol=1e-4)
 
 
 def test_the_limb_counts_and_not_what_is_behind_nor_a_hole_nor_a_speck() -> None:
@@ -106,12 +114,12 @@ def test_what_is_far_from_the_others_is_not_theirs() -> None:
 
 
 def test_a_rendered_person_is_lifted_into_the_world() -> None:
-    camera = PinholeCamera("front", COLOUR, standing(HEIGHT, np.radians(TILT)))
+    camera = PinholeCamera("front", COLOUR, level_pose(HEIGHT, np.radians(TILT)))
     local = apply(inverse(camera.T_world_camera), BODY)
     pixels, _ = camera.project(BODY)
     depth, depth_std = image_of(drawn_depth(local, COLOUR)).at(pixels)
     confidence = np.where(np.arange(17) == 10, 0.2, 1.0)
-    view = View(1.0, "front", COCO_17.joints, pixels, np.full(17, 3.0), depth, depth_std, confidence, "7")
+    view = Detection(1.0, "front", COCO_17.joints, pixels, np.full(17, 3.0), depth, depth_std, confidence, "7")
     frame = lifted(view, camera)
     assert (frame.stamp, frame.person, frame.frame_id) == (1.0, "7", "world")
     assert np.flatnonzero(~frame.valid).tolist() == [10]  # the network was not sure
@@ -127,10 +135,10 @@ def test_a_rendered_person_is_lifted_into_the_world() -> None:
 
 
 def test_a_camera_that_looks_down_stands_upright() -> None:
-    T = standing(2.0, np.radians(30))
+    T = level_pose(2.0, np.radians(30))
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(apply(T, np.array([0.0, 0.0, 4.0])), [0, 4 * np.cos(np.pi / 6), 0.0], atol=1e-12)
-    np.testing.assert_allclose(apply(standing(), np.array([1.0, 2.0, 3.0])), [1, 3, -2])
+    np.testing.assert_allclose(apply(level_pose(), np.array([1.0, 2.0, 3.0])), [1, 3, -2])
 
 
 # librealsense
@@ -204,7 +212,7 @@ def record(path: Path, pictures: Sequence[tuple[np.ndarray, np.ndarray]]) -> Non
 @pytest.fixture(scope="module")
 def recording(blobs: Callable[..., np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
     """A recording of 30 pictures, and (30, 17, 3) where the joints are in the world [m]."""
-    camera = PinholeCamera("colour", COLOUR, standing(HEIGHT, np.radians(TILT)))
+    camera = PinholeCamera("colour", COLOUR, level_pose(HEIGHT, np.radians(TILT)))
     bodies = BODY + 0.006 * np.arange(30)[:, None, None] * np.array([1.0, 0.0, 0.0])
     pictures = []
     for body in bodies:
@@ -221,7 +229,9 @@ def played(source: RealSenseSource, mailbox: Mailbox) -> list[SkeletonFrame]:
     """All frames that come before the recording ends."""
     source.start()
     frames = []
+    deadline = time.monotonic() + LONG
     while not mailbox.finished:
+        assert time.monotonic() < deadline
         if arrival := mailbox.take(1.0):
             frames.append(arrival.frame)
     source.close()
@@ -253,11 +263,11 @@ def test_a_recorded_person_comes_out_where_they_were(
 def test_a_camera_of_a_rig_is_fused(recording: tuple[Path, np.ndarray], blob_network: Callable[..., Path]) -> None:
     path, bodies = recording
     mailbox = Mailbox()
-    rig = Rig({"front": PinholeCamera("front", COLOUR, standing(HEIGHT, np.radians(TILT)))}, "cell")
+    rig = Rig({"front": PinholeCamera("front", COLOUR, level_pose(HEIGHT, np.radians(TILT)))}, "cell")
     fused = FusedSource(rig, mailbox.feed("fusion"))
     feed = mailbox.feed("camera")
     options = RealSenseOptions(blob_network(17, width=144, height=192))
-    source = RealSenseSource("camera", feed, str(path), options, fused.deliverer("front", feed))
+    source = RealSenseSource("camera", feed, str(path), options, fused.handler("front", feed))
     fused.start()
     frames = played(source, mailbox)
     fused.close()
@@ -275,7 +285,12 @@ def test_the_command_predicts_from_it(
     command = "from kinecast.cli import main; main()"
     arguments = ["live", "--source", source, "--model", str(MODEL), "--samples", "20", "--sink", "jsonl:out.jsonl"]
     done = subprocess.run(
-        [sys.executable, "-c", command, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-c", command, *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=5 * LONG,
     )
     assert done.returncode == 0, done.stderr
     assert re.search(rf"^realsense:{recording[0]}\s+ended\s+[1-9]", done.stdout, re.MULTILINE)
@@ -292,7 +307,7 @@ def test_a_camera_of_another_size_than_the_rigs_is_refused(
 ) -> None:
     half = Intrinsics(320, 240, 215.0, 215.0, 160.0, 120.0)
     rig = tmp_path / "rig.yaml"
-    rig.write_text(Rig({"front": PinholeCamera("front", half, standing())}).to_yaml())
+    rig.write_text(Rig({"front": PinholeCamera("front", half, level_pose())}).to_yaml())
     source = f"realsense:{recording[0]}?model={blob_network(17)}&camera=front"
     arguments = ["live", "--source", source, "--rig", str(rig), "--model", str(MODEL), "--sink", "ws://:0"]
     monkeypatch.setattr(sys, "argv", ["kinecast", *arguments])
@@ -334,7 +349,7 @@ def test_a_source_can_be_closed_at_any_time(
     source.close()
     source = RealSenseSource("camera", mailbox.feed("camera"), str(recording[0]), RealSenseOptions(blob_network(17)))
     source.start()
-    assert mailbox.take(60.0) is not None
+    assert mailbox.take(LONG) is not None
     source.close()
     assert not any(thread.name == "camera" for thread in threading.enumerate())
 
@@ -352,7 +367,7 @@ def test_a_failure_is_counted_and_ends_nothing_else(
     def torn(*_: object) -> None:
         raise ModelError("the network fails")
 
-    monkeypatch.setattr(source, "_people", type("People", (), {"follow": torn})())
+    monkeypatch.setattr(source, "_people", type("People", (), {"update": torn})())
     with caplog.at_level(logging.WARNING):
         assert played(source, mailbox) == []
     assert (feed.refused, feed.ended) == (1, True)
@@ -368,16 +383,16 @@ def test_a_camera_that_fails_is_opened_anew(
     source = RealSenseSource("camera", feed, str(recording[0]), RealSenseOptions(blob_network(17)))
     stream, plugged = source.stream, iter((False, False, True))
 
-    def pictures(stop: threading.Event) -> Iterator[Picture]:
+    def frames(stop: threading.Event) -> Iterator[CameraFrame]:
         if not next(plugged):
             raise RuntimeError("no picture for 5 s")
-        return RealSenseStream.pictures(stream, stop)
+        return RealSenseStream.frames(stream, stop)
 
-    monkeypatch.setattr(stream, "pictures", pictures)
+    monkeypatch.setattr(stream, "frames", frames)
     monkeypatch.setattr(stream, "recorded", False)
     monkeypatch.setattr(realsense, "RETRY", 0.01)
     source.start()
-    assert mailbox.take(60.0) is not None
+    assert mailbox.take(LONG) is not None
     assert feed.refused == 2
     source.close()
 

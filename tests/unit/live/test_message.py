@@ -17,7 +17,7 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS, COCO_17
 from kinecast.live.admission import FORGET, MOST_PERSONS, MOST_SENDERS, Admission
-from kinecast.live.detection import View
+from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Mailbox
 from kinecast.live.message import LARGEST_MESSAGE, MessageError, decode
 from kinecast.types import SkeletonFrame
@@ -231,14 +231,14 @@ def test_pixels_come_through_as_a_view() -> None:
     pixels = [[10, 20], None, [None, 5], [1, 2], [3, 4], [5, 6]]
     content = sighted(pixels=pixels, depth=[2.5, None, 2, 2, 2, 2], pixel_std=[3] * 6, person="7")
     view = decode(json.dumps(content))
-    assert isinstance(view, View)
+    assert isinstance(view, Detection)
     assert (view.camera, view.person, view.stamp, view.joints) == ("left", "7", 1.5, ARM_JOINTS)
     np.testing.assert_array_equal(view.seen, [True, False, False, True, True, True])
     assert view.depth[0] == 2.5
     assert np.isnan(view.depth[1])
     assert np.isnan(view.depth_std).all()
     np.testing.assert_array_equal(view.confidence, 1.0)
-    assert isinstance(decode(msgspec.msgpack.encode(content)), View)
+    assert isinstance(decode(msgspec.msgpack.encode(content)), Detection)
 
 
 @pytest.mark.parametrize(

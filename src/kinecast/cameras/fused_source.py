@@ -11,43 +11,35 @@ from dataclasses import dataclass, replace
 from kinecast.cameras.fusion.fusion import MOST_PEOPLE, Fusion
 from kinecast.cameras.rig import Rig
 from kinecast.errors import OptionError
-from kinecast.live.detection import Deliver, View
+from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
 from kinecast.types import SkeletonFrame
 
-__all__ = ["FusedSource"]
-
-GATHER = 0.004
-"""People of one image who come in messages of their own come within this [s]."""
-PATIENCE = 0.05
-"""After so long without any image [s] a round ends without the cameras that are missing."""
+GATHER = 0.004  # people of one image who come in messages of their own come within this [s]
+PATIENCE = 0.05  # after so long without any image [s] a round ends without the cameras that are missing
 JUDGE, MOST_THROWN_OUT = 10.0, 30
 """How often cameras are judged [s], and how many of a camera's views may be thrown out until then."""
-LOOK = 0.1
-"""Longest wait before looking whether to end [s]."""
+LOOK = 0.1  # longest wait before looking whether to end [s]
 
 log = logging.getLogger(__name__)
 
 
 @dataclass
-class _Waiting:
-    """An image that was not fused yet."""
+class _Image:
+    """One that was not fused yet; when it is due [s], everybody in it came."""
 
+    camera: str
     feed: Feed
     stamp: float
     acquired: float
     due: float
-    people: list[View | SkeletonFrame]
+    people: list[Detection | SkeletonFrame]
 
 
 class FusedSource:
     """Fuses what cameras deliver; the newest image of each camera wins, and no queue grows.
 
-    Frames are stamped with this machine's time [s since 1970], since the cameras' clocks are several.
-
-    Args:
-        rig: the cameras.
-        feed: where fused frames go.
+    Frames go to the feed, stamped with this machine's time [s since 1970], since the cameras' clocks are several.
     """
 
     def __init__(self, rig: Rig, feed: Feed) -> None:
@@ -56,36 +48,30 @@ class FusedSource:
         self.fusion = Fusion(rig)
         self._feed = feed
         self._inputs: set[Feed] = set()
-        self._waiting: dict[str, _Waiting] = {}
+        self._waiting: dict[str, _Image] = {}
         self._changed = threading.Condition()
         self._stop = False
-        self._progress = 0.0
-        self._judged = time.monotonic()
+        self._progress = self._judged = time.monotonic()
         self._counted = dict.fromkeys(rig.cameras, (0, 0))
         self._thread: threading.Thread | None = None
         self._epoch = time.time() - time.monotonic()
 
-    def deliverer(self, camera: str, feed: Feed) -> Deliver:
-        """What a source of that camera delivers its images to.
-
-        Args:
-            camera: its name in the rig.
-            feed: where its images are counted.
+    def handler(self, camera: str, feed: Feed) -> DetectionHandler:
+        """What a source of that camera of the rig gives its images to, which are counted in its feed.
 
         Raises:
             OptionError: the rig has no such camera.
         """
         if camera not in self.rig.cameras:
-            raise OptionError(
-                f"{feed.name}: camera {camera!r} is not in the rig, which has {', '.join(self.rig.cameras)}"
-            )
+            known = ", ".join(self.rig.cameras)
+            raise OptionError(f"{feed.name}: camera {camera!r} is not in the rig, which has {known}")
         self.expect(feed)
         feed.fused = True
 
-        def deliver(stamp: float, people: Sequence[View], acquired: float) -> None:
-            self._put(camera, feed, stamp, people, acquired, 0.0)
+        def handle(stamp: float, people: Sequence[Detection], acquired: float) -> None:
+            self._put(_Image(camera, feed, stamp, acquired, time.monotonic(), list(people)))
 
-        return deliver
+        return handle
 
     def expect(self, feed: Feed) -> None:
         """Does not end before that feed has: images of a camera may come by it."""
@@ -96,43 +82,33 @@ class FusedSource:
         """Names of the rig's cameras."""
         return self.rig.cameras
 
-    def put(self, camera: str, feed: Feed, person: View | SkeletonFrame, acquired: float) -> None:
+    def put(self, camera: str, feed: Feed, person: Detection | SkeletonFrame, acquired: float) -> None:
         """One of perhaps several persons in an image; see `Feed.put`. Never waits."""
-        self._put(camera, feed, person.stamp, (person,), acquired, GATHER)
+        self._put(_Image(camera, feed, person.stamp, acquired, time.monotonic() + GATHER, [person]))
 
     def start(self) -> None:
-        """Begins."""
         self._thread = threading.Thread(target=self._run, name="fusion", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stops, and waits until it has."""
         with self._changed:
             self._stop = True
             self._changed.notify()
         if self._thread:
             self._thread.join()
 
-    def _put(
-        self,
-        camera: str,
-        feed: Feed,
-        stamp: float,
-        people: Sequence[View | SkeletonFrame],
-        acquired: float,
-        patience: float,
-    ) -> None:
-        now = time.monotonic()
-        feed.received += 1
-        feed.last = now
+    def _put(self, image: _Image) -> None:
+        image.feed.received += 1
+        image.feed.last = time.monotonic()
+        image.acquired = min(image.acquired, image.feed.last)
         with self._changed:
-            waiting = self._waiting.get(camera)
-            if waiting is not None and waiting.stamp == stamp:
-                waiting.people += people[: MOST_PEOPLE - len(waiting.people)]
+            waiting = self._waiting.get(image.camera)
+            if waiting is not None and waiting.stamp == image.stamp:
+                waiting.people += image.people[: MOST_PEOPLE - len(waiting.people)]
                 return
             if waiting is not None:
                 waiting.feed.superseded += 1
-            self._waiting[camera] = _Waiting(feed, stamp, min(acquired, now), now + patience, list(people))
+            self._waiting[image.camera] = image
             self._changed.notify()
 
     def _run(self) -> None:
@@ -146,31 +122,34 @@ class FusedSource:
                 break
         self._feed.end()
 
-    def _take(self) -> list[tuple[str, _Waiting]]:
+    def _take(self) -> list[_Image]:
         """Images that are due, oldest first; none after a while."""
         with self._changed:
             if not self._waiting and not self._stop:
                 self._changed.wait(PATIENCE if self.fusion.waiting else LOOK)
+            ahead = min((each.due for each in self._waiting.values()), default=0.0) - time.monotonic()
+            if ahead > 0 and not self._stop:
+                self._changed.wait(ahead)
             now = time.monotonic()
-            first = min((each.due for each in self._waiting.values()), default=now)
-            if first > now and not self._stop:
-                self._changed.wait(first - now)
-                now = time.monotonic()
-            due = [(camera, each) for camera, each in self._waiting.items() if each.due <= now]
-            for camera, _ in due:
-                del self._waiting[camera]
-        return sorted(due, key=lambda each: each[1].acquired)
+            due = [each for each in self._waiting.values() if each.due <= now]
+            for image in due:
+                del self._waiting[image.camera]
+        return sorted(due, key=lambda image: image.acquired)
 
-    def _fuse(self, images: Sequence[tuple[str, _Waiting]]) -> None:
+    def _fuse(self, images: Sequence[_Image]) -> None:
         now = time.monotonic()
-        for camera, image in images:
-            self._publish(self.fusion.add(camera, image.acquired, image.people))
+        for image in images:
             self._progress = now
-        if now - self._judged > JUDGE:
-            self._judge()
-            self._judged = now
+            self._publish(self.fusion.add(image.camera, image.acquired, image.people))
         if self.fusion.waiting and now - self._progress > PATIENCE:
             self._publish(self.fusion.finish())
+        if now - self._judged > JUDGE:
+            self._judged = now
+            self._judge()
+
+    def _publish(self, frames: Sequence[SkeletonFrame]) -> None:
+        for frame in frames:
+            self._feed.put(replace(frame, stamp=frame.stamp + self._epoch), frame.stamp)
 
     def _judge(self) -> None:
         """Names cameras whose views were mostly thrown out lately: they may have been moved."""
@@ -182,7 +161,3 @@ class FusedSource:
                     self.address, camera, thrown_out, used + thrown_out,
                 )  # fmt: skip
         self._counted = {name: (self.fusion.used[name], self.fusion.thrown_out[name]) for name in self.rig.cameras}
-
-    def _publish(self, frames: Sequence[SkeletonFrame]) -> None:
-        for frame in frames:
-            self._feed.put(replace(frame, stamp=frame.stamp + self._epoch), frame.stamp)

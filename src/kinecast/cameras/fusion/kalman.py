@@ -1,52 +1,53 @@
-"""How joints move from one image to the next: position, velocity and an acceleration that fades (Singer 1970)."""
+"""A Kalman filter for each joint of one person: position, velocity and an acceleration that fades (Singer 1970)."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-__all__ = ["JointStates", "back", "disturbance", "transition"]
+from kinecast.body.skeleton import without_side
+from kinecast.cameras.fusion.measurement import FUSED_JOINTS
 
-FADE = 0.4
-"""Time in which an acceleration fades [s], from tuning: docs/decisions/0022."""
+FADE = 0.4  # time in which an acceleration fades [s], from tuning: docs/decisions/0022
+ACCELERATIONS = {"elbow": 2.0, "wrist": 3.0, "hand": 4.0}
+ACCELERATION = 1.0
+"""Standard deviation of a joint's acceleration along each axis [m/s²]: two to three times what it is in recorded work,
+for the sake of a small lag (docs/decisions/0022)."""
 START_SPEED, START_ACCELERATION = 0.7, 3.0
 """Standard deviation, along each axis, of a joint not seen before [m/s], [m/s²]: a person walks at 1.2 m/s."""
-UNSEEN, SLOWING = 0.1, 0.3
-"""A joint that nobody has seen for so long [s] loses its speed in so long [s]."""
+UNSEEN, SLOWING = 0.1, 0.3  # a joint that nobody has seen for so long [s] loses its speed in so long [s]
+
+_VARIANCES = np.array([ACCELERATIONS.get(without_side(joint), ACCELERATION) ** 2 for joint in FUSED_JOINTS])
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+def response(times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "3 N"]:
+    """(3, N) position, velocity and acceleration, so long after [s] an acceleration of 1 m/s² from rest: ȧ = −a/τ."""
+    fallen = -np.expm1(-times / FADE)
+    return np.stack([FADE * (times - FADE * fallen), FADE * fallen, 1 - fallen])
 
 
 def transition(dt: float) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) of position, velocity and acceleration over dt [s]: ȧ = −a/τ."""
-    a, e = 1 / FADE, np.exp(-dt / FADE)
-    return np.array([[1.0, dt, (a * dt - 1 + e) / a**2], [0.0, 1.0, (1 - e) / a], [0.0, 0.0, e]])
+    """(3, 3) of position, velocity and acceleration over dt [s]."""
+    F = np.array([[1.0, dt, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    F[:, 2] = response(np.array([dt]))[:, 0]
+    return F
 
 
 def disturbance(dt: float) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) covariance that comes in over dt [s], for an acceleration of standard deviation 1 m/s²."""
-    a, T = 1 / FADE, dt
-    if a * T < 0.02:  # the closed form loses its digits
-        q = [[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]]
-        return 2 * a * np.array(q)
-    x, e, ee = a * T, np.exp(-a * T), np.exp(-2 * a * T)
-    q11 = (1 - ee + 2 * x + 2 * x**3 / 3 - 2 * x**2 - 4 * x * e) / (2 * a**5)
-    q12 = (ee + 1 - 2 * e + 2 * x * e - 2 * x + x**2) / (2 * a**4)
-    q13 = (1 - ee - 2 * x * e) / (2 * a**3)
-    q22 = (4 * e - 3 - ee + 2 * x) / (2 * a**3)
-    q23 = (ee + 1 - 2 * e) / (2 * a**2)
-    q33 = (1 - ee) / (2 * a)
-    return 2 * a * np.array([[q11, q12, q13], [q12, q22, q23], [q13, q23, q33]])
+    """(3, 3) covariance 2/τ ∫ r rᵀ that comes in over dt [s], for an acceleration of standard deviation 1 m/s²."""
+    r = response(dt * (_NODES + 1) / 2)
+    return dt / FADE * (r * _WEIGHTS) @ r.T
 
 
-def back(dt: float) -> Float[np.ndarray, " 3"]:
-    """(3,) weights of position, velocity and acceleration now in the position dt ago [s]."""
-    return np.array([1.0, -dt, dt * dt / 2])
+def back(dt: Float[np.ndarray, "*v"] | float) -> Float[np.ndarray, "*v 3"]:
+    """(…, 3) weights of position, velocity and acceleration now in the position dt ago [s]."""
+    dt = np.asarray(dt)
+    return np.stack([np.ones_like(dt), -dt, dt * dt / 2], axis=-1)
 
 
 class JointStates:
-    """A Kalman filter for each joint of one person.
-
-    Args:
-        accelerations: (J,) standard deviation of each joint's acceleration, along each axis [m/s²].
+    """What is known of the joints of one person, in the order of FUSED_JOINTS.
 
     Attributes:
         mean: (J, 3, 3) position [m], velocity, acceleration of each joint; NaN where it was never seen.
@@ -56,19 +57,22 @@ class JointStates:
         stamp: what instant this is of [s].
     """
 
-    def __init__(self, accelerations: Float[np.ndarray, " J"], stamp: float) -> None:
-        joints = len(accelerations)
+    def __init__(self, stamp: float) -> None:
+        joints = len(FUSED_JOINTS)
         self.mean = np.full((joints, 3, 3), np.nan)
         self.covariance = np.tile(np.eye(9), (joints, 1, 1))
         self.standing = np.zeros((joints, 3, 3))
         self.seen_at = np.full(joints, -np.inf)
         self.stamp = stamp
-        self._variances = accelerations**2
 
     @property
     def known(self) -> Bool[np.ndarray, " J"]:
         """(J,) whether there is anything to go on from."""
         return self.seen_at > -np.inf
+
+    def seen_within(self, period: float) -> Bool[np.ndarray, " J"]:
+        """(J,) whether the joint was seen in the last so many seconds."""
+        return self.stamp - self.seen_at < period
 
     def forget(self, joints: Bool[np.ndarray, " J"]) -> None:
         """As if these had never been seen."""
@@ -80,11 +84,12 @@ class JointStates:
         dt = stamp - self.stamp
         if dt <= 0:
             return
-        F, Q = np.kron(transition(dt), np.eye(3)), np.kron(disturbance(dt), np.eye(3))
+        step = transition(dt)
+        F, Q = np.kron(step, np.eye(3)), np.kron(disturbance(dt), np.eye(3))
         unseen = stamp - self.seen_at > UNSEEN
-        self.mean = np.einsum("ab,jbx->jax", F[::3, ::3], self.mean)
+        self.mean = step @ self.mean
         self.mean[unseen, 1:] *= np.exp(-dt / SLOWING)
-        self.covariance = F @ self.covariance @ F.T + self._variances[:, None, None] * Q
+        self.covariance = F @ self.covariance @ F.T + _VARIANCES[:, None, None] * Q
         self.stamp = stamp
 
     def at(self, stamp: float) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
@@ -109,7 +114,7 @@ class JointStates:
         told = information.any(axis=(0, 2, 3)) & self.known
         if not told.any():
             return
-        b = np.stack([back(self.stamp - stamp) for stamp in stamps])
+        b = back(self.stamp - stamps)
         more = np.einsum("va,vb,vjxy->jaxby", b, b, information[:, told]).reshape(-1, 9, 9)
         covariance = np.linalg.inv(np.linalg.inv(self.covariance[told]) + more)
         step = covariance @ np.einsum("va,vjx->jax", b, surprise[:, told]).reshape(-1, 9, 1)

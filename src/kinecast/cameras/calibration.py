@@ -1,0 +1,204 @@
+"""Where several cameras stand, from a board that they see together, again and again.
+
+Each picture gives the board's place before its camera; two cameras with a picture of the same moment are tied by it.
+All cameras and all places of the board are then adjusted together so that the corners appear where they were seen,
+with Huber's loss: a corner found wrongly pulls no harder than one a pixel off (Triggs et al. 2000, Bundle adjustment).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+from kinecast.cameras.charuco import Corners
+from kinecast.cameras.pinhole import Intrinsics
+from kinecast.errors import DatasetError
+from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
+
+FEWEST_PICTURES = 6  # for the intrinsics of a camera
+HUBER = 1.0  # pixels
+WRONG = 4.0  # a picture whose corners are off by so many times the median picture's is left out, the worst first
+WRONG_LEAST = 1.0  # but not one that is off by less [px]
+ATTEMPTS = 30  # all but one of them leave out a picture
+STEP = 1e-6  # for differences [rad], [m]
+NEAREST = 1e-3  # depth of a corner that is behind its camera [m]: far off, and no division by zero
+ANGLE_WEIGHT = 1.0  # metres that a radian counts for where transforms are compared
+
+Views = Mapping[str, Mapping[str, Corners]]
+"""Per camera, per moment, what is seen of the board."""
+Poses = dict[str, Float[np.ndarray, "4 4"]]
+
+
+@dataclass(frozen=True)
+class Extrinsics:
+    """Where cameras stand; everything per camera."""
+
+    T_world_camera: Poses
+    error: dict[str, float]  # root mean square distance of corners from where they should appear [px]
+    std: dict[str, tuple[float, float]]  # of place [m] and direction [rad] against the first camera
+    left_out: dict[str, list[str]]  # moments whose picture was left out
+
+
+def find_intrinsics(name: str, views: Mapping[str, Corners], size: tuple[int, int]) -> tuple[Intrinsics, float, float]:
+    """The lens of a camera of this name from what it sees in pictures of this size; distortion is k1 and k2.
+
+    Returns:
+        The lens, the root mean square distance of corners from where they should appear [px], and the standard
+        deviation of focal length and principal point, the largest of the four [px].
+
+    Raises:
+        DatasetError: too few pictures.
+    """
+    if len(views) < FEWEST_PICTURES:
+        raise DatasetError(
+            name, f"the board is seen in {len(views)} pictures, at least {FEWEST_PICTURES} are needed for its lens"
+        )
+    points = [each.points.astype(np.float32) for each in views.values()]
+    pixels = [each.pixels.astype(np.float32) for each in views.values()]
+    flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST  # what few pictures tell, and lenses of today have
+    error, matrix, found, _, _, std, *_ = cv2.calibrateCameraExtended(
+        points, pixels, size, np.eye(3), np.zeros(5), flags=flags
+    )
+    fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    distortion = tuple(map(float, np.ravel(found)[:5]))
+    return Intrinsics(*size, fx, fy, cx, cy, distortion), float(error), float(np.ravel(std)[:4].max())
+
+
+def find_extrinsics(
+    lenses: Mapping[str, Intrinsics], views: Views, origin: str, T_world_board: Float[np.ndarray, "4 4"]
+) -> Extrinsics:
+    """Where cameras stand in the world.
+
+    Args:
+        lenses: per camera.
+        views: what each sees.
+        origin: the moment in which the board lies where the world begins.
+        T_world_board: how the world lies against the board then.
+
+    Raises:
+        DatasetError: a camera shares no moment with the others, or none saw the board at the origin.
+    """
+    T_camera_board = {name: {m: _board_pose(lenses[name], c) for m, c in views[name].items()} for name in lenses}
+    if not any(origin in each for each in T_camera_board.values()):
+        raise DatasetError(
+            origin, "the board is not seen in this picture, in which it should lie where the world begins"
+        )
+    cameras = _chained(T_camera_board)
+    seen: dict[str, list[np.ndarray]] = {}
+    for name, poses in T_camera_board.items():
+        for moment, pose in poses.items():
+            seen.setdefault(moment, []).append(cameras[name] @ pose)
+    boards = {moment: _medoid(poses) for moment, poses in seen.items()}
+    left_out: dict[str, list[str]] = {name: [] for name in lenses}
+    for attempt in range(ATTEMPTS):
+        kept = {name: {m: c for m, c in views[name].items() if m not in left_out[name]} for name in lenses}
+        cameras, boards, std, errors = _adjusted(lenses, kept, cameras, boards)
+        limit = max(WRONG * float(np.median(list(errors.values()))), WRONG_LEAST)
+        worst = max(errors, key=lambda picture: errors[picture])
+        if errors[worst] <= limit or attempt == ATTEMPTS - 1:
+            break
+        left_out[worst[0]].append(worst[1])
+    if not any(moment == origin for _, moment in errors):
+        raise DatasetError(
+            origin, "the board is seen so badly in this picture that it cannot say where the world begins"
+        )
+    T_world = T_world_board @ inverse(boards[origin])
+    error = {name: float(np.sqrt(np.mean([e**2 for (c, _), e in errors.items() if c == name]))) for name in lenses}
+    return Extrinsics({name: T_world @ T for name, T in cameras.items()}, error, std, left_out)
+
+
+def _board_pose(lens: Intrinsics, corners: Corners) -> Float[np.ndarray, "4 4"]:
+    """(4, 4) T_camera_board of one picture: of the two ways a plane can lie, the one that fits better."""
+    directions = lens.directions(corners.pixels)
+    _, turn, shift = cv2.solvePnP(corners.points, directions, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    return transform(from_rotation_vector(np.ravel(turn)), np.ravel(shift))
+
+
+def _chained(T_camera_board: Mapping[str, Mapping[str, np.ndarray]]) -> Poses:
+    """Per camera T_first_camera, one after the other by the ties with most moments in common.
+
+    Raises:
+        DatasetError: a camera has no moment in common with those tied already.
+    """
+    names = list(T_camera_board)
+    found = {names[0]: np.eye(4)}
+    while len(found) < len(names):
+        ties = [(a, b, T_camera_board[a].keys() & T_camera_board[b]) for a in found for b in names if b not in found]
+        a, b, common = max(ties, key=lambda tie: len(tie[2]))
+        if not common:
+            missing = ", ".join(name for name in names if name not in found)
+            known = " or ".join(found)
+            raise DatasetError(missing, f"no picture of the board at a moment that {known} saw too (of the same name)")
+        between = [T_camera_board[a][moment] @ inverse(T_camera_board[b][moment]) for moment in sorted(common)]
+        found[b] = found[a] @ _medoid(between)
+    return {name: found[name] for name in names}
+
+
+def _medoid(transforms: list[np.ndarray]) -> np.ndarray:
+    """Of several transforms the one that is nearest to all others: a few wrong ones do not matter."""
+    T = np.stack(transforms)
+    between = inverse(T)[:, None] @ T
+    angle = np.linalg.norm(rotation_vector(between[..., :3, :3]), axis=-1)
+    away = np.linalg.norm(between[..., :3, 3], axis=-1) + ANGLE_WEIGHT * angle
+    return T[int(np.argmin(away.sum(axis=1)))]
+
+
+def _adjusted(
+    lenses: Mapping[str, Intrinsics], views: Views, cameras: Poses, boards: Poses
+) -> tuple[Poses, Poses, dict[str, tuple[float, float]], dict[tuple[str, str], float]]:
+    """Bundle adjustment over the poses of all cameras but the first, and of all boards.
+
+    Returns:
+        Per camera T_first_camera, per moment T_first_board, per camera its standard deviation [m], [rad], and per
+        picture the root mean square distance of its corners from where they should appear [px].
+    """
+    names, moments = list(cameras), list(boards)
+    pictures = [(name, moment, corners) for name in names for moment, corners in views[name].items()]
+    counts = [len(corners.points) for _, _, corners in pictures]
+    camera = np.repeat([names.index(name) for name, _, _ in pictures], counts)
+    board = np.repeat([len(names) + moments.index(moment) for _, moment, _ in pictures], counts)
+    points, pixels = (np.concatenate([getattr(c, part) for *_, c in pictures]) for part in ("points", "pixels"))
+
+    def poses(x: Float[np.ndarray, " P"]) -> Float[np.ndarray, "M 4 4"]:
+        """T_camera_first of all cameras, T_first_board of all boards."""
+        rows = x.reshape(-1, 6)
+        return np.concatenate([np.eye(4)[None], transform(from_rotation_vector(rows[:, :3]), rows[:, 3:])])
+
+    def residuals(x: Float[np.ndarray, " P"]) -> Float[np.ndarray, " R"]:
+        T = poses(x)
+        local = apply(T[camera], apply(T[board], points))
+        directions = local[:, :2] / np.maximum(local[:, 2:], NEAREST)
+        shown = [lenses[name].pixels(directions[camera == k]) for k, name in enumerate(names)]
+        return (np.concatenate(shown) - pixels).ravel()
+
+    def jacobian(x: Float[np.ndarray, " P"]) -> Float[np.ndarray, "R P"]:
+        """By central differences: a corner moves with one camera and one board, so all of them at once."""
+        J = np.zeros((2 * len(points), 6 * (len(names) + len(moments))))
+        for of, part in ((camera, slice(len(names))), (board, slice(len(names), None))):
+            for k in range(6):
+                step = np.zeros((len(names) + len(moments), 6))
+                step[part, k] = STEP
+                moved = residuals(x + step[1:].ravel()) - residuals(x - step[1:].ravel())
+                J[np.arange(len(J)), np.repeat(6 * of + k, 2)] = moved / (2 * STEP)
+        return J[:, 6:]
+
+    start = np.stack([*(inverse(T) for T in cameras.values()), *boards.values()])[1:]
+    x = np.concatenate([rotation_vector(start[:, :3, :3]), start[:, :3, 3]], axis=1).ravel()
+    found = least_squares(residuals, x, jacobian, loss="huber", f_scale=HUBER, x_scale="jac")
+    T, J = poses(found.x), np.asarray(found.jac)
+    freedom = max(2 * len(points) - len(x), 1)
+    variance = np.diag(np.linalg.pinv(J.T @ J)) * 2 * found.cost / freedom
+    std = np.sqrt(np.maximum(variance, 0).reshape(-1, 2, 3).sum(axis=2))[: len(names) - 1]  # turn, shift
+    square = (residuals(found.x) ** 2).reshape(-1, 2).sum(axis=1)
+    parts = np.split(square, np.cumsum(counts)[:-1])
+    return (
+        {name: inverse(pose) for name, pose in zip(names, T, strict=False)},
+        dict(zip(moments, T[len(names) :], strict=True)),
+        {names[0]: (0.0, 0.0), **{name: (float(s), float(t)) for name, (t, s) in zip(names[1:], std, strict=True)}},
+        {(name, moment): float(np.sqrt(part.mean())) for (name, moment, _), part in zip(pictures, parts, strict=True)},
+    )

@@ -1,1 +1,0 @@
-"""Where cameras stand, from pictures of a printed board."""

@@ -1,0 +1,125 @@
+"""One person over time, as all cameras together see them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from kinecast.cameras.fusion.bone_prior import ANCHOR_STD, anchors, share_too_far
+from kinecast.cameras.fusion.consensus import DEPTH_LIMIT, PIXEL_LIMIT, Consensus
+from kinecast.cameras.fusion.kalman import JointStates
+from kinecast.cameras.fusion.measurement import FUSED_JOINTS, Measurement, stacked
+from kinecast.types import SkeletonFrame
+
+PATIENCE = 10  # after so many rounds in which images contradict the past, and nothing supports it, it is given up
+STANDING = 0.8
+"""Share of the variance of what images say that is the same in the next image: a pose estimator's errors stay."""
+MOST_BEYOND = 0.5  # a joint too far from more than this share of its neighbours is something else
+LOOSE = 0.2  # uncertainty from which a joint is held near the body [m]
+SHOWN = 0.15
+"""A joint that nobody has seen for so long [s] is no longer given: the predictor then knows that it is hidden."""
+CONFIRMED = 3  # rounds in which somebody is seen before they count as somebody
+LEAST_SHARED = 3  # joints that must be seen and known for a comparison
+
+
+class Person:
+    """A person, from an instant [s] on.
+
+    Attributes:
+        name: the id that frames carry; empty until they have one.
+        states: what is known of the joints.
+        rounds: in how many rounds they were seen.
+        seen_at: when they were last seen [s].
+    """
+
+    def __init__(self, stamp: float) -> None:
+        self.name = ""
+        self.states = JointStates(stamp)
+        self.rounds = 0
+        self.seen_at = stamp
+        self._doubts = np.zeros(len(FUSED_JOINTS), dtype=np.int64)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether they have been seen often enough to be somebody."""
+        return self.rounds >= CONFIRMED
+
+    def update(self, measurements: Sequence[Measurement]) -> list[Measurement]:
+        """Takes at most one measurement of each camera; those that disagree as a whole are left out, and returned."""
+        states = self.states
+        images = stacked(measurements)
+        consensus = Consensus(images, states)
+        wrong = consensus.wrong_images
+        left_out = [each for each, out in zip(measurements, wrong, strict=True) if out]
+        if wrong.all():
+            return left_out
+        if wrong.any():
+            images = stacked([each for each, out in zip(measurements, wrong, strict=True) if not out])
+            consensus = Consensus(images, states)
+        self._doubts = np.where(consensus.doubted, self._doubts + 1, 0)
+        given_up = self._doubts > PATIENCE
+        lost = states.known & (~consensus.past | given_up)
+        if given_up.any():
+            states.forget(given_up)
+            consensus = Consensus(images, states)
+            self._doubts[given_up] = 0
+        located = np.isfinite(consensus.positions).all(axis=1)
+        start = (lost | ~states.known) & located
+        information, surprise = consensus.evidence()
+        states.correct(images.stamp, information * ~start[:, None, None], surprise * ~start[:, None])
+        states.start(start, consensus.positions, consensus.covariance)
+        touched = start | (states.known & consensus.used.any(axis=(0, 2)) & ~lost)
+        if touched.any():
+            states.seen_at[touched] = self.seen_at = states.stamp
+            self.rounds += 1
+            states.standing[touched & located] = STANDING * consensus.covariance[touched & located]
+            self._hold(touched & ~consensus.located)
+            states.forget(share_too_far(states.mean[:, 0], states) > MOST_BEYOND)
+        return left_out
+
+    def _hold(self, joints: Bool[np.ndarray, " J"]) -> None:
+        """Keeps joints near the body that one pixel alone was seen of: nothing else says how far they are."""
+        middle, anchored = anchors(self.states)
+        loose = np.sqrt(np.trace(self.states.covariance[:, :3, :3], axis1=1, axis2=2)) > LOOSE
+        held = (joints & anchored & loose)[:, None]
+        off = np.where(held, middle - self.states.mean[:, 0], 0.0) / ANCHOR_STD**2
+        information = held[..., None] * np.eye(3) / ANCHOR_STD**2
+        self.states.correct(np.array([self.states.stamp]), information[None], off[None])
+
+    def distance(self, measurement: Measurement) -> float:
+        """How far a measurement is from where the joints should be, 0..1; inf where too few are seen and known.
+
+        Squared Mahalanobis distances of pixels and depths, each up to its limit: their mean share of the limit.
+        """
+        places, covariance = self.states.at(measurement.stamp)
+        both = measurement.seen[:, 0] & self.states.known
+        if both.sum() < LEAST_SHARED:
+            return np.inf
+        places, rows, deep = places[both], measurement.rows[both], measurement.seen[both, 1]
+        z = places @ measurement.axis[:3] + measurement.axis[3]
+        off = np.einsum("jrx,jx->jr", rows, places) - measurement.values[both]
+        noise = measurement.near[both] ** 2 + (measurement.far[both] * z[:, None]) ** 2
+        square = off * off / (noise + np.einsum("jrx,jxy,jry->jr", rows, covariance[both], rows))
+        square[(z <= 0)[:, None] | ~np.isfinite(square)] = np.inf
+        pixel = np.minimum(square[:, 0] + square[:, 1], PIXEL_LIMIT).sum()
+        depth = np.minimum(square[:, 2], DEPTH_LIMIT)[deep].sum()
+        return float((pixel + depth) / (PIXEL_LIMIT * len(z) + DEPTH_LIMIT * deep.sum()))
+
+    def apart(self, other: Person) -> float:
+        """Median distance between this person's joints and another's [m]; inf where they share none."""
+        away: Float[np.ndarray, " J"] = np.linalg.norm(self.states.mean[:, 0] - other.states.mean[:, 0], axis=1)
+        away = away[np.isfinite(away)]
+        return float(np.median(away)) if len(away) else np.inf
+
+    def frame(self, frame_id: str) -> SkeletonFrame:
+        """What is known now, as a skeleton of the joints that were ever seen."""
+        states = self.states
+        ever = np.flatnonzero(states.known)
+        positions, covariance = states.mean[ever, 0].copy(), (states.covariance[:, :3, :3] + states.standing)[ever]
+        gone = ~states.seen_within(SHOWN)[ever]
+        positions[gone], covariance[gone] = np.nan, np.nan
+        std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
+        joints = tuple(FUSED_JOINTS[column] for column in ever)
+        return SkeletonFrame(states.stamp, joints, positions, self.name, frame_id, std, covariance)

@@ -1,0 +1,151 @@
+"""Who is where in the images of one camera, from one image to the next: a person detector, and a pose in each box.
+
+Source of what a detector takes and gives: mmdeploy's exports of RTMDet and YOLOX, which end in non-maximum suppression,
+and YOLOX's own (Ge et al. 2021), which do not. The image stands in the upper left of the network's, grey (114)
+elsewhere, blue before red; RTMDet takes it less ImageNet's mean, YOLOX as it is.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from kinecast.cameras.onnx_model import IMAGENET_MEAN, IMAGENET_STD, ImageModel
+from kinecast.cameras.pose_estimator import Keypoints, PoseEstimator
+from kinecast.errors import ModelError
+
+LEAST_SCORE = 0.5
+MOST_OVERLAP = 0.45  # of two boxes, intersection over union; the weaker one is dropped beyond it, as YOLOX does
+MOST_BOXES = 100  # that are compared
+SMALLEST = 16.0  # of a box, each side [px]
+GREY = 114
+STRIDES = (8, 16, 32)
+PERSON = 0  # COCO's class
+
+MOST_PEOPLE = 4  # in one image: each costs a run of the network
+DETECT_EVERY = 10  # images from one look at the whole image to the next, while somebody is followed
+LEAST_SEEN = 4  # joints by which somebody is followed: an arm and a shoulder
+SAME = 0.3  # boxes that overlap by so much (intersection over union) are of one person
+MARGIN = 1.25
+"""A person's box around what was seen of them; the rest of the head and the hands are outside, and they move."""
+
+
+class PersonDetector:
+    """Boxes around people, by RTMDet or YOLOX: `rtmdet` or `yolox` in the name of its ONNX file tells which.
+
+    Raises:
+        ModelError: it is no such network.
+    """
+
+    def __init__(self, path: Path) -> None:
+        name = path.name.lower()
+        if ("yolox" in name) == ("rtmdet" in name):
+            raise ModelError(f"{path}: a detector's name must say whether it is a yolox or an rtmdet")
+        self._yolox = "yolox" in name
+        self._model = ImageModel(path)
+        shape = self._model.sample[0].shape
+        rows = [
+            (column, row, stride)
+            for stride in STRIDES
+            for row in range(self._model.height // stride)
+            for column in range(self._model.width // stride)
+        ]
+        self._cells: Float[np.ndarray, "C 3"] = np.array(rows, dtype=np.float64)
+        self._plain = self._yolox and len(shape) == 3 and shape[1] == len(rows) and shape[2] >= 6
+        if not self._plain and not (len(shape) == 3 and shape[0] == 1 and shape[2] == 5):
+            raise ModelError(f"{path}: gives {shape}; expected boxes with scores after suppression, or YOLOX's cells")
+
+    def find(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "N 4"]:
+        """(N, 4) left, top, right, bottom of people [px] in an RGB image, the surest first.
+
+        Raises:
+            ModelError: the network fails.
+        """
+        high, wide = image.shape[:2]
+        scale = max(high / self._model.height, wide / self._model.width)
+        content = self._model.window(image, np.full(2, (scale - 1) / 2), scale, GREY)
+        if not self._yolox:
+            content = (content - IMAGENET_MEAN) / IMAGENET_STD
+        outputs = self._model.run(content[..., ::-1])
+        boxes, scores = self._from_cells(outputs[0][0]) if self._plain else _suppressed(outputs)
+        boxes = np.clip(boxes * scale, 0.0, (wide, high, wide, high))
+        large = (boxes[:, 2:] - boxes[:, :2] >= SMALLEST).all(axis=1)  # also drops what is NaN
+        sure = np.flatnonzero(large & (scores >= LEAST_SCORE))
+        kept: list[int] = []
+        for place in sure[np.argsort(-scores[sure], kind="stable")][:MOST_BOXES]:
+            if not (overlaps(boxes[place], boxes[kept]) > MOST_OVERLAP).any():
+                kept.append(place)
+        return boxes[kept]
+
+    def _from_cells(self, cells: Float[np.ndarray, "C K"]) -> tuple[Float[np.ndarray, "N 4"], Float[np.ndarray, " N"]]:
+        """Boxes in the network's pixels and scores of people, from YOLOX's cells."""
+        scores = cells[:, 4].astype(np.float64) * cells[:, 5 + PERSON]
+        few = np.argsort(-scores, kind="stable")[:MOST_BOXES]
+        cell, stride = cells[few].astype(np.float64), self._cells[few, 2:]
+        middle = (cell[:, :2] + self._cells[few, :2]) * stride
+        half = np.exp(np.clip(cell[:, 2:4], -20.0, 20.0)) * stride / 2
+        return np.hstack([middle - half, middle + half]), scores[few]
+
+
+def _suppressed(outputs: list[np.ndarray]) -> tuple[Float[np.ndarray, "N 4"], Float[np.ndarray, " N"]]:
+    """Boxes in the network's pixels and scores of people, from a network that ends in non-maximum suppression."""
+    found = outputs[0][0].astype(np.float64)
+    if len(outputs) > 1 and outputs[1].size == len(found):
+        found = found[outputs[1].ravel() == PERSON]
+    return found[:, :4], found[:, 4]
+
+
+def overlaps(box: Float[np.ndarray, " 4"], others: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:
+    """(N,) intersection over union of a box with others."""
+    sides = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
+    common = np.maximum(sides, 0.0).prod(axis=1)
+    union = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1) - common
+    return common / np.maximum(union, 1e-9)
+
+
+class PeopleTracker:
+    """Runs a pose estimator where people are.
+
+    Without a detector it follows one person: in the whole image first, then around where they were.
+    """
+
+    def __init__(self, estimator: PoseEstimator, detector: PersonDetector | None = None) -> None:
+        self.estimator = estimator
+        self._detector = detector
+        self._boxes: dict[str, Float[np.ndarray, " 4"]] = {}
+        self._names = count()
+        self._since = 0
+
+    def update(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Keypoints]:
+        """The keypoints of each person in the next RGB image.
+
+        Raises:
+            ModelError: a network fails.
+        """
+        self._since += 1
+        if not self._boxes or (self._detector is not None and self._since >= DETECT_EVERY):
+            self._detect(image)
+        found = {name: self.estimator.estimate(image, box) for name, box in self._boxes.items()}
+        self._boxes = {}
+        for name, keypoints in found.items():  # the oldest first: a newer one in the same place is the same person
+            if keypoints.seen.sum() >= LEAST_SEEN:
+                box = keypoints.box
+                middle, half = (box[:2] + box[2:]) / 2, (box[2:] - box[:2]) / 2 * MARGIN
+                box = np.concatenate([middle - half, middle + half])
+                if not (self._shared(box) >= 1 - SAME).any():
+                    self._boxes[name] = box
+        return {name: found[name] for name in self._boxes}
+
+    def _detect(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
+        """Finds people in the whole image, and keeps the names of those who are known."""
+        self._since = 0
+        high, wide = image.shape[:2]
+        for box in np.array([[0.0, 0.0, wide, high]]) if self._detector is None else self._detector.find(image):
+            if len(self._boxes) < MOST_PEOPLE and not (self._shared(box) >= SAME).any():
+                self._boxes[str(next(self._names))] = box
+
+    def _shared(self, box: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " N"]:
+        return overlaps(box, np.array(list(self._boxes.values())).reshape(-1, 4))
