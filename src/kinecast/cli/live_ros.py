@@ -8,11 +8,11 @@ from pathlib import Path
 
 from kinecast.cli.progress import note
 from kinecast.errors import OptionError
-from kinecast.live.admission import Admission
-from kinecast.live.loop import Source
 from kinecast.live.mailbox import Feed
+from kinecast.live.sender_guard import SenderGuard
 from kinecast.live.settings import number, whole_number
 from kinecast.live.sinks import MOST_WAITING, Sink
+from kinecast.live.sources import Source
 from kinecast.ros.bags import BagWriter, read_frames
 from kinecast.ros.carrier import Carrier, RosSink, RosSource
 from kinecast.ros.dds import DdsCarrier
@@ -24,27 +24,8 @@ from kinecast.ros.ros1 import Ros1Carrier
 from kinecast.ros.ros2 import Ros2Carrier
 from kinecast.types import SkeletonFrame
 
-__all__ = [
-    "BAG_SETTINGS",
-    "BAG_SINK_SETTINGS",
-    "SINK_SETTINGS",
-    "SOURCE_SETTINGS",
-    "bag_frames",
-    "incoming",
-    "open_bag_sink",
-    "open_sink",
-    "open_source",
-    "outgoing",
-]
+__all__ = ["bag_frames", "incoming", "open_bag_sink", "open_sink", "open_source", "outgoing"]
 
-_INPUT = ("type", "joints", "person", "frame", "height", "camera")
-_OUTPUT = ("outputs", "planning_scene", "parts", "thickness")
-_DDS = ("distro", "domain", "network")
-SOURCE_SETTINGS = {"ros1": _INPUT, "ros2": _INPUT, "dds": (*_INPUT, *_DDS)}
-SINK_SETTINGS = {"ros1": _OUTPUT, "ros2": _OUTPUT, "dds": (*_OUTPUT, *_DDS)}
-BAG_SETTINGS = ("topic", *_INPUT[1:-1], "speed", "repeat")
-BAG_SINK_SETTINGS = ("namespace", *_OUTPUT, "distro", "storage")
-"""What may stand behind the question mark."""
 ROOM = 8
 """Publications that wait for a network."""
 
@@ -55,7 +36,7 @@ def incoming(text: str, topic: str, settings: Mapping[str, str]) -> Incoming:
     Args:
         text: the SOURCE, for messages.
         topic: as written.
-        settings: some of `SOURCE_SETTINGS`.
+        settings: what stands behind the question mark.
 
     Raises:
         OptionError: no type, or one that is not read, or settings that do not fit.
@@ -69,12 +50,7 @@ def incoming(text: str, topic: str, settings: Mapping[str, str]) -> Incoming:
 
 
 def outgoing(text: str, namespace: str, settings: Mapping[str, str]) -> Outgoing:
-    """What makes messages of predictions.
-
-    Args:
-        text: the SINK, for messages.
-        namespace: as written; "" is /kinecast.
-        settings: some of `SINK_SETTINGS`.
+    """What makes messages of predictions; namespace "" is /kinecast.
 
     Raises:
         OptionError: a name that is none, or settings outside their ranges.
@@ -86,23 +62,26 @@ def outgoing(text: str, namespace: str, settings: Mapping[str, str]) -> Outgoing
 
 
 def open_source(
-    text: str, kind: str, topic: str, settings: Mapping[str, str], feed: Feed, admission: Admission
+    text: str, kind: str, topic: str, settings: Mapping[str, str], feed: Feed, guard: SenderGuard
 ) -> Source:
-    """A source of one of the kinds of `SOURCE_SETTINGS`.
+    """A source of kind ros1, ros2 or dds.
 
     Raises:
         OptionError: as `incoming`, or there is no ROS here.
     """
-    return RosSource(text, feed, incoming(text, topic, settings), _carrier(kind, settings), admission)
+    return RosSource(text, feed, incoming(text, topic, settings), _carrier(kind, settings), guard)
 
 
 def open_sink(text: str, kind: str, namespace: str, settings: Mapping[str, str]) -> Sink:
-    """A sink of one of the kinds of `SINK_SETTINGS`.
-
-    Raises:
-        OptionError: as `outgoing`, or there is no ROS here.
-    """
+    """A sink of kind ros1, ros2 or dds; raises as `outgoing`, or where there is no ROS here."""
     return RosSink(text, outgoing(text, namespace, settings), _carrier(kind, settings), ROOM)
+
+
+def open_bag_sink(text: str, path: Path, settings: Mapping[str, str]) -> Sink:
+    """A bag for predictions; raises as `outgoing`, or where the bag cannot be made."""
+    told = outgoing(text, settings.get("namespace", ""), settings)
+    writer = BagWriter(path, _distribution(text, settings), settings.get("storage", "mcap"))
+    return RosSink(text, told, writer, MOST_WAITING)
 
 
 def bag_frames(text: str, path: Path, settings: Mapping[str, str]) -> list[SkeletonFrame]:
@@ -115,17 +94,6 @@ def bag_frames(text: str, path: Path, settings: Mapping[str, str]) -> list[Skele
     if wrong:
         note(f"{path}: {wrong} messages were no skeletons")
     return frames
-
-
-def open_bag_sink(text: str, path: Path, settings: Mapping[str, str]) -> Sink:
-    """A bag for predictions.
-
-    Raises:
-        OptionError: as `outgoing`, or the bag cannot be made.
-    """
-    told = outgoing(text, settings.get("namespace", ""), settings)
-    writer = BagWriter(path, _distribution(text, settings), settings.get("storage", "mcap"))
-    return RosSink(text, told, writer, MOST_WAITING)
 
 
 def _carrier(kind: str, settings: Mapping[str, str]) -> Carrier:

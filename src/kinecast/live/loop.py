@@ -7,39 +7,19 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
 
 from kinecast.live.mailbox import Arrival, Feed, Mailbox
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import Sink
 from kinecast.predictor import Predictor
-from kinecast.types import Prediction, Status
+from kinecast.types import Status
 
-__all__ = ["Live", "Source"]
+__all__ = ["Live"]
 
 LOOK = 0.1
 """Longest wait for a frame before looking whether to end [s]."""
 
 log = logging.getLogger(__name__)
-
-
-@runtime_checkable
-class Source(Protocol):
-    """Puts frames into its feed from a thread of its own.
-
-    Attributes:
-        address: where frames come from, for messages.
-    """
-
-    address: str
-
-    def start(self) -> None:
-        """Begins."""
-        ...
-
-    def close(self) -> None:
-        """Ends; no frame comes afterwards."""
-        ...
 
 
 class Live:
@@ -65,8 +45,8 @@ class Live:
         self.level = level
         self.statuses: Counter[Status] = Counter()
         self.last: dict[Feed, Status] = {}
-        self.published = 0
         self.failures = 0
+        self._published = 0
         self._predictors = {feed: make_predictor() for feed in mailbox.feeds}
 
     def run(self, stop: threading.Event) -> None:
@@ -78,22 +58,19 @@ class Live:
 
     def step(self, arrival: Arrival) -> None:
         """One frame, start to end; whatever happens, it does not raise."""
+        feed, frame = arrival.feed, arrival.frame
         try:
-            prediction = self._predict(arrival)
+            delay = max(time.monotonic() - arrival.acquired, 0.0)
+            prediction = self._predictors[feed].observe(frame, frame.stamp + delay * arrival.pace)
             self.statuses[prediction.status] += 1
-            self.last[arrival.feed] = prediction.status
+            self.last[feed] = prediction.status
             publication = Publication.of(
-                self.published + 1, arrival.feed.name, arrival.frame, prediction, self.level, arrival.acquired
+                self._published + 1, feed.name, frame, prediction, self.level, arrival.acquired
             )
-            self.published += 1
+            self._published += 1
             for sink in self.sinks:
                 sink.publish(publication)
         except Exception:
             self.failures += 1
             if self.failures == 1:  # the others are counted
-                log.exception("%s: a prediction could not be published", arrival.feed.name)
-
-    def _predict(self, arrival: Arrival) -> Prediction:
-        delay = time.monotonic() - arrival.acquired
-        frame = arrival.frame
-        return self._predictors[arrival.feed].observe(frame, frame.stamp + max(delay, 0.0) * arrival.pace)
+                log.exception("%s: a prediction could not be published", feed.name)

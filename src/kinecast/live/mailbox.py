@@ -113,8 +113,8 @@ class Feed:
         self.last: float | None = None
         self.ended = self.fused = False
         self._mailbox = mailbox
-        self._said = 0
-        self._quiet_until = -1.0
+        self._logged = 0
+        self._quiet_until = 0.0
 
     def put(self, frame: SkeletonFrame, acquired: float, pace: float = 1.0) -> None:
         """Takes in a frame; see `Arrival`."""
@@ -127,9 +127,9 @@ class Feed:
         self.refused += 1
         now = time.monotonic()
         if now >= self._quiet_until:
-            more = self.refused - self._said - 1
+            more = self.refused - self._logged - 1
             log.warning("%s: %s%s", self.name, problem, f" (and {more} more refused before)" if more else "")
-            self._said, self._quiet_until = self.refused, now + QUIET
+            self._logged, self._quiet_until = self.refused, now + QUIET
 
     def end(self) -> None:
         """Says that no frame will come any more."""
