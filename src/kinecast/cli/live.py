@@ -25,8 +25,6 @@ from kinecast.pipeline import frames
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame
 
-__all__ = ["live"]
-
 Sources = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(name="source", metavar="SOURCE", help_behavior_hint="(once or more)"),

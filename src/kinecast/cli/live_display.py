@@ -16,8 +16,6 @@ from kinecast.live.loop import Live
 from kinecast.live.mailbox import Feed
 from kinecast.types import Status
 
-__all__ = ["shown", "summary"]
-
 SILENT = 0.5
 """After so long without a frame [s] a source is said to be silent."""
 PER_SECOND = 4

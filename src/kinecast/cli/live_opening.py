@@ -24,8 +24,6 @@ from kinecast.types import SkeletonFrame
 if TYPE_CHECKING:
     from kinecast.cameras.fused import FusedSource
 
-__all__ = ["Endpoint", "open_sink", "open_source", "read_sink", "read_source"]
-
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
     "xsens://HOST:PORT?person=0, realsense:SERIAL?model=FILE, "
@@ -67,18 +65,11 @@ _FILES: Mapping[str, type[FileSink]] = {"mcap": McapSink, "jsonl": JsonlSink}
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A SOURCE or SINK, taken apart.
+    """A SOURCE or SINK, taken apart: KIND:PLACE?SETTINGS."""
 
-    Attributes:
-        text: as written.
-        kind: what stands before the colon.
-        place: a path, a camera's serial number, a topic or a namespace; or an address.
-        settings: what stands behind the question mark.
-    """
-
-    text: str
+    text: str  # as written
     kind: str
-    place: str | Address
+    place: str | Address  # a path, a camera's serial number, a topic or a namespace; or an address
     settings: dict[str, str]
 
     @property
@@ -87,23 +78,19 @@ class Endpoint:
         return Path(str(self.place))
 
     @property
-    def replaces_file(self) -> bool:
-        """Whether a sink begins with an empty file: opened last, so that none is lost where another cannot be."""
-        return self.kind in (*_FILES, "bag")
-
-    @property
     def address(self) -> Address:
         """The place, where that is an address."""
         assert isinstance(self.place, Address)
         return self.place
 
+    @property
+    def replaces_file(self) -> bool:
+        """Whether a sink begins with an empty file: opened last, so that none is lost where another cannot be."""
+        return self.kind in (*_FILES, "bag")
+
 
 def read_source(text: str) -> Endpoint:
-    """Takes a SOURCE apart.
-
-    Raises:
-        OptionError: it is none.
-    """
+    """Takes a SOURCE apart; an OptionError where it is none."""
     kind, colon, _ = text.partition(":")
     if not (colon and kind in SOURCE_SETTINGS) and "://" not in text:
         return Endpoint(text, "recording", text, {})
@@ -113,16 +100,12 @@ def read_source(text: str) -> Endpoint:
     elif source.kind in _ROS:
         from kinecast.cli.live_ros import incoming  # here, since ROS is an extra
 
-        incoming(text, str(source.place), source.settings)
+        incoming(source)
     return source
 
 
 def read_sink(text: str) -> Endpoint:
-    """Takes a SINK apart.
-
-    Raises:
-        OptionError: it is none, or its file cannot be written.
-    """
+    """Takes a SINK apart; an OptionError where it is none, or its file cannot be written."""
     wrong = f"--sink {text}: expected {SINK_FORMS}"
     sink = _endpoint(text, SINK_SETTINGS, wrong)
     choice(sink.settings, "format", ("json", "msgpack"), text)
@@ -133,8 +116,7 @@ def read_sink(text: str) -> Endpoint:
     elif sink.kind in (*_ROS, "bag"):
         from kinecast.cli.live_ros import outgoing
 
-        namespace = sink.settings.get("namespace", "") if sink.kind == "bag" else str(sink.place)
-        outgoing(text, namespace, sink.settings)
+        outgoing(sink)
     return sink
 
 
@@ -166,34 +148,31 @@ def open_source(
     Raises:
         OptionError, DatasetError, ModelError: it cannot be opened.
     """
+    text, settings = source.text, source.settings
     if source.kind in ("recording", "bag"):
-        speed = number(source.settings, "speed", 1.0, source.text)
-        repeat = whole_number(source.settings, "repeat", 1, source.text)
-        return RecordedSource(source.text, mailbox.feed(source.text), _frames(source, play), speed, repeat)
+        speed, repeat = number(settings, "speed", 1.0, text), whole_number(settings, "repeat", 1, text)
+        frames = play(source.path) if source.kind == "recording" else _bag_frames(source)
+        return RecordedSource(text, mailbox.feed(text), frames, speed, repeat)
     if source.kind == "realsense":
         return _open_realsense(source, mailbox, fused)
-    feed = mailbox.feed(source.text)
+    feed = mailbox.feed(text)
     if source.kind == "xsens":
-        return UdpSource(
-            source.address, feed, network, XsensGuard(feed, XsensOptions.parse(source.settings, source.text))
-        )
+        return UdpSource(source.address, feed, network, XsensGuard(feed, XsensOptions.parse(settings, text)))
     if fused is not None:
         fused.expect(feed)
     _deliverer(source, feed, fused)
-    guard = SenderGuard(feed, fused, source.settings.get("camera", ""))
+    guard = SenderGuard(feed, fused, settings.get("camera", ""))
     if source.kind in _ROS:
         from kinecast.cli.live_ros import open_source as open_ros_source
 
-        return open_ros_source(source.text, source.kind, str(source.place), source.settings, feed, guard)
+        return open_ros_source(source, feed, guard)
     return (WebSocketSource if source.kind == "ws" else UdpSource)(source.address, feed, network, guard)
 
 
-def _frames(source: Endpoint, play: Callable[[Path], Sequence[SkeletonFrame]]) -> Sequence[SkeletonFrame]:
-    if source.kind == "recording":
-        return play(source.path)
+def _bag_frames(source: Endpoint) -> Sequence[SkeletonFrame]:
     from kinecast.cli.live_ros import bag_frames
 
-    return bag_frames(source.text, source.path, source.settings)
+    return bag_frames(source)
 
 
 def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | None) -> Source:
@@ -223,15 +202,12 @@ def _deliverer(source: Endpoint, feed: Feed, fused: FusedSource | None) -> Deliv
 
 
 def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> Sink:
-    """Opens a sink.
+    """Opens a sink; an OptionError where it cannot be.
 
     Args:
         sink: which.
         network: that it runs in.
         scene: obstacles and goals, for sinks that draw them.
-
-    Raises:
-        OptionError: it cannot be opened.
     """
     if sink.kind in _FILES:
         return _FILES[sink.kind](sink.path)
@@ -241,8 +217,6 @@ def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> S
         from kinecast.view.live_view import LiveView  # here, since the view is an extra
 
         return LiveView(sink.address.host, sink.address.port, scene, f"--sink {sink.text}")
-    from kinecast.cli import live_ros
+    from kinecast.cli.live_ros import open_sink as open_ros_sink
 
-    if sink.kind == "bag":
-        return live_ros.open_bag_sink(sink.text, sink.path, sink.settings)
-    return live_ros.open_sink(sink.text, sink.kind, str(sink.place), sink.settings)
+    return open_ros_sink(sink)

@@ -8,8 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["SinkCounters"]
-
 BIN = 0.5e-3
 """Width of a bin of latencies [s]: how exactly a percentile is known."""
 BINS = 4000
@@ -25,16 +23,12 @@ class SinkCounters:
         address: of the sink, for messages.
         verb: what happens to a prediction there: "written", "sent", "drawn".
         fatal: errors after which nothing more is tried; any other costs one prediction.
-
-    Attributes:
-        published: how many were sent or written.
-        dropped: how many were not, because the sink was busy, slow or broken.
-        failure: why nothing more is tried, or None.
     """
 
     def __init__(self, address: str, verb: str, *fatal: type[Exception]) -> None:
-        self.published = self.dropped = 0
-        self.failure: str | None = None
+        self.published = 0  # sent or written
+        self.dropped = 0  # not sent, because the sink was busy, slow or broken
+        self.failure: str | None = None  # why nothing more is tried
         self._address, self._verb, self._fatal = address, verb, fatal
         self._latencies = np.zeros(BINS + 1, dtype=np.int64)
         self._logged = False

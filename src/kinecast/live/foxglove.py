@@ -15,8 +15,6 @@ from jaxtyping import Float
 from kinecast.live.publication import Publication, arms_of, colour_of
 from kinecast.types import LIMBS, SkeletonFrame
 
-__all__ = ["scene_update", "skeleton_update"]
-
 LIFETIME = 0.5
 """How long what is drawn stays without a newer one [s]."""
 LINE_LIST = 2
@@ -31,11 +29,9 @@ _NO_TURN = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
 def scene_update(publication: Publication, time: float) -> dict[str, Any]:
-    """One person: the arms now, their mean at every step, tubes at the middle and the last step, the status.
+    """One person at a time [s]: arms now, their mean at every step, tubes at the middle and the last step, status.
 
-    Args:
-        publication: what to draw; joints and limbs that are NaN are left out.
-        time: of the drawing [s], 0 or more.
+    Joints and limbs that are NaN are left out.
     """
     prediction, tubes = publication.prediction, publication.tubes
     colour, status = colour_of(prediction.status), prediction.status.name
@@ -66,12 +62,7 @@ def scene_update(publication: Publication, time: float) -> dict[str, Any]:
 
 
 def skeleton_update(frame: SkeletonFrame, time: float) -> dict[str, Any]:
-    """One person as measured: lines for the arms, a small sphere for every joint that is seen.
-
-    Args:
-        frame: what to draw.
-        time: of the drawing [s], 0 or more.
-    """
+    """One person as measured, at a time [s]: lines for the arms, a small sphere for every joint that is seen."""
     line = _lines(arms_of(frame), _SEEN, 1.0, 0.03)
     spheres = [_sphere(joint, 0.02, _SEEN, 1.0) for joint in _rounded(frame.positions[frame.valid])]
     return _update(frame.person, frame.frame_id, time, spheres=spheres, lines=[line] if line["points"] else [])

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import InitVar, dataclass, field
 
 from kinecast.live.mailbox import Arrival, Feed, Mailbox
 from kinecast.live.publication import Publication
@@ -14,40 +15,27 @@ from kinecast.live.sinks import Sink
 from kinecast.predictor import Predictor
 from kinecast.types import Status
 
-__all__ = ["Live"]
-
 LOOK = 0.1
 """Longest wait for a frame before looking whether to end [s]."""
 
 log = logging.getLogger(__name__)
 
 
+@dataclass
 class Live:
-    """Sources → predictions → sinks.
+    """Sources → predictions → sinks."""
 
-    Args:
-        mailbox: that the sources' feeds belong to.
-        make_predictor: a predictor for each source, so that one whose clock or persons lie is alone with that.
-        sinks: that take every prediction.
-        level: probability of the tubes.
+    mailbox: Mailbox  # that the sources' feeds belong to
+    make_predictor: InitVar[Callable[[], Predictor]]  # one for each source, so that one that lies is alone with that
+    sinks: Sequence[Sink]  # that take every prediction
+    level: float = 0.95  # probability of the tubes
+    statuses: Counter[Status] = field(default_factory=Counter)  # how often each was published
+    last: dict[Feed, Status] = field(default_factory=dict)  # the newest of each source
+    failures: int = 0  # frames whose prediction could not be published
 
-    Attributes:
-        statuses: how often each status was published.
-        last: per source the newest status.
-        failures: frames whose prediction could not be published.
-    """
-
-    def __init__(
-        self, mailbox: Mailbox, make_predictor: Callable[[], Predictor], sinks: Sequence[Sink], level: float = 0.95
-    ) -> None:
-        self.mailbox = mailbox
-        self.sinks = sinks
-        self.level = level
-        self.statuses: Counter[Status] = Counter()
-        self.last: dict[Feed, Status] = {}
-        self.failures = 0
+    def __post_init__(self, make_predictor: Callable[[], Predictor]) -> None:
         self._published = 0
-        self._predictors = {feed: make_predictor() for feed in mailbox.feeds}
+        self._predictors = {feed: make_predictor() for feed in self.mailbox.feeds}
 
     def run(self, stop: threading.Event) -> None:
         """Until it is told to stop, or every source has ended."""

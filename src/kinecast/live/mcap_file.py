@@ -27,8 +27,6 @@ from kinecast.live.message_file import labelled_frames, message, recordings_of
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import FileSink
 
-__all__ = ["PREDICTIONS", "SCENE", "SKELETONS", "McapSink", "load", "schema", "write"]
-
 PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"
 """Topics."""
 _SCHEMAS = {PREDICTIONS: "kinecast.Prediction", SKELETONS: "kinecast.Skeleton", SCENE: "foxglove.SceneUpdate"}
@@ -50,35 +48,24 @@ class _JsonWriter:
     """Writes JSON messages on two topics: what is said, and the drawing of it."""
 
     def __init__(self, file: IO[bytes], topic: str) -> None:
-        self._writer = Writer(file, compression=CompressionType.LZ4)
-        self._writer.start(profile="", library=f"kinecast {__version__}")
-        self._channels = [self._channel(each) for each in (topic, SCENE)]
-
-    def _channel(self, topic: str) -> int:
-        name = _SCHEMAS[topic]
-        registered = self._writer.register_schema(name, "jsonschema", json.dumps(schema(name)).encode())
-        return self._writer.register_channel(topic, "json", registered)
-
-    def add_metadata(self, data: dict[str, str]) -> None:
-        self._writer.add_metadata(METADATA, data)
+        self.mcap = Writer(file, compression=CompressionType.LZ4)
+        self.mcap.start(profile="", library=f"kinecast {__version__}")
+        self._channels = []
+        for each in (topic, SCENE):
+            content = json.dumps(schema(_SCHEMAS[each])).encode()
+            registered = self.mcap.register_schema(_SCHEMAS[each], "jsonschema", content)
+            self._channels.append(self.mcap.register_channel(each, "json", registered))
 
     def add(self, content: bytes, drawing: dict[str, Any], logged: int, published: int, sequence: int = 0) -> None:
         for channel, data in zip(self._channels, (content, msgspec.json.encode(drawing)), strict=True):
-            self._writer.add_message(channel, logged, data, published, sequence)
+            self.mcap.add_message(channel, logged, data, published, sequence)
 
     def finish(self) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self.mcap.finish()  # type: ignore[no-untyped-call]
 
 
 class McapSink(FileSink):
-    """Writes predictions; a log time is when the frame was acquired, a publish time when the message was written.
-
-    Args:
-        path: of the file; one that is there is replaced.
-
-    Raises:
-        OSError: it cannot be opened.
-    """
+    """Writes predictions; a log time is when the frame was acquired, a publish time when the message was written."""
 
     def begin(self) -> None:
         self._unix_less_monotonic = time.time() - time.monotonic()
@@ -103,7 +90,8 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
     """
     with path.open("wb") as file:
         writer = _JsonWriter(file, SKELETONS)
-        writer.add_metadata({RECORDINGS: json.dumps([asdict(describe(recording)) for recording in recordings])})
+        described = json.dumps([asdict(describe(recording)) for recording in recordings])
+        writer.mcap.add_metadata(METADATA, {RECORDINGS: described})
         for frame, label in labelled_frames(recordings):
             logged = min(max(int(frame.stamp * 1e9), 0), LATEST)
             writer.add(message(frame, label), skeleton_update(frame, logged / 1e9), logged, logged)

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import JOINTS, SKELETONS, Skeleton, require_arms
-from kinecast.errors import DatasetError, MissingExtraError
+from kinecast.errors import DatasetError
 from kinecast.live.detection import View
 from kinecast.types import SkeletonFrame
-
-try:
-    import msgspec
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("live streams", "live") from error
 
 LARGEST_MESSAGE = 65_536
 """Bytes of one message; 33 joints as JSON take about 3000."""
@@ -78,6 +74,11 @@ def decode(content: bytes | str) -> SkeletonFrame | View:
         message = (_JSON if raw[:64].lstrip()[:1] == b"{" else _MSGPACK).decode(raw)
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
         raise MessageError(_short(str(error) or type(error).__name__)) from None
+    return person_of(message)
+
+
+def person_of(message: SkeletonMessage) -> SkeletonFrame | View:
+    """The person whom a message's fields describe; see `decode`."""
     if not abs(message.stamp) <= LATEST_STAMP:
         raise MessageError(f"stamp {message.stamp:g} is no time in seconds")
     if (message.positions is None) == (message.pixels is None):

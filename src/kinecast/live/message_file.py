@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -19,31 +19,21 @@ from kinecast.datasets.compressed import MOST_POINTS, base_name, chunks
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.table import Description
 from kinecast.errors import DatasetError
-from kinecast.live.message import LATEST_STAMP, LONGEST_NAME, MessageError, decode
+from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, person_of
 from kinecast.types import SkeletonFrame
-
-__all__ = ["labelled_frames", "load", "message", "recordings_of", "write"]
 
 LONGEST_LINE = 1 << 20
 """Bytes of one message; a prediction of 300 steps has 400,000."""
 ROUNDED = "arms as `kinecast live` saw them, to 0.1 mm"
 
 
-class _Kind(msgspec.Struct, gc=False):
-    """What a message is, and what no skeleton has."""
+class _Message(SkeletonMessage, gc=False):
+    """Of a recording, or what a prediction holds beside a skeleton's fields."""
 
     kind: str | None = None
     label: str | None = None
-
-
-class _Prediction(msgspec.Struct, gc=False):
-    """What is measured in a prediction."""
-
-    stamp: float
-    person: str
-    source: str
-    joints: list[str]
-    observed: list[list[float | None]]
+    source: str = ""
+    observed: list[list[float | None]] | None = None
 
 
 @dataclass
@@ -78,11 +68,7 @@ def message(frame: SkeletonFrame, label: str | None) -> bytes:
 
 
 def write(path: Path, recordings: Sequence[Recording]) -> None:
-    """One line of JSON for each frame; names, rate, subject, task and notes are lost.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """One line of JSON for each frame; names, rate, subject, task and notes are lost."""
     with path.open("wb") as file:
         for frame, label in labelled_frames(recordings):
             file.write(message(frame, label) + b"\n")
@@ -98,17 +84,13 @@ def load(path: Path) -> list[Recording]:
 
 
 def recordings_of(
-    messages: Iterable[tuple[str, bytes]],
-    path: Path,
-    format: str,
-    descriptions: Sequence[Description] = (),
+    messages: Iterable[tuple[str, bytes]], path: Path, format: str, descriptions: Sequence[Description] = ()
 ) -> list[Recording]:
     """One recording for each person in messages.
 
     Args:
-        messages: where each is, for errors, and its JSON.
-        path: of the file.
-        format: its name.
+        messages: each one's place, for errors, and its JSON.
+        path, format: of the file.
         descriptions: of the recordings, where they are known.
 
     Raises:
@@ -150,25 +132,18 @@ def recordings_of(
 def _read(where: str, content: bytes) -> tuple[SkeletonFrame, str | None, str | None]:
     """A message's skeleton; its source where it is a prediction; its label."""
     try:
-        kind = msgspec.json.decode(content, type=_Kind)
-        if kind.kind == "prediction":
-            return *_observed(content), None
-        frame = decode(content)
+        found = msgspec.json.decode(content, type=_Message)
+        predicted = found.kind == "prediction"
+        if predicted:
+            found.positions = found.observed
+            if tuple(found.joints or ()) != ARM_JOINTS or [len(row) for row in found.observed or ()] != [3] * 6:
+                raise MessageError("a prediction's observed are 6 × 3, its joints those of both arms")
+        frame = person_of(found)
     except (msgspec.MsgspecError, MessageError, ValueError, RecursionError) as error:
         raise DatasetError(where, f"neither skeleton nor prediction: {str(error)[:200]}") from None
     if not isinstance(frame, SkeletonFrame):
         raise DatasetError(where, "pixels of one camera; a recording needs positions in metres")
-    return frame, None, kind.label
-
-
-def _observed(content: bytes) -> tuple[SkeletonFrame, str]:
-    found = msgspec.json.decode(content, type=_Prediction)
-    if tuple(found.joints) != ARM_JOINTS or [len(row) for row in found.observed] != [3] * len(ARM_JOINTS):
-        raise MessageError("a prediction's observed are 6 × 3, its joints those of both arms")
-    if not abs(found.stamp) <= LATEST_STAMP or not 0 < len(found.person) <= LONGEST_NAME:
-        raise MessageError("a prediction's stamp or person is out of range")
-    positions = np.array(found.observed, dtype=float)
-    return SkeletonFrame(found.stamp, ARM_JOINTS, positions, found.person), found.source[:LONGEST_NAME]
+    return frame, found.source[:LONGEST_NAME] if predicted else None, found.label
 
 
 def _inferred(track: _Track, path: Path, format: str, person: str, alone: bool, predicted: bool) -> Description:
@@ -196,20 +171,15 @@ def _recording(track: _Track, about: Description) -> Recording:
     positions: Float[np.ndarray, "N J 3"] = np.full((len(track.frames), len(places), 3), np.nan)
     for row, frame in zip(positions, track.frames, strict=True):
         row[[places[joint] for joint in frame.joints]] = frame.positions
-    return Recording(
-        name=about.name,
-        joints=tuple(about.joints),
-        stamps=np.array([frame.stamp for frame in track.frames]),
-        positions=positions,
-        rate=about.rate,
-        source=None if about.source is None else Path(about.source),
-        format=about.format,
-        person=about.person,
-        subject=about.subject,
-        task=about.task,
-        labels=None if set(track.labels) == {None} else tuple(label or "" for label in track.labels),
-        notes=tuple(about.notes),
-    )
+    content = asdict(about) | {
+        "joints": tuple(about.joints),
+        "source": None if about.source is None else Path(about.source),
+        "notes": tuple(about.notes),
+        "stamps": np.array([frame.stamp for frame in track.frames]),
+        "positions": positions,
+        "labels": None if set(track.labels) == {None} else tuple(label or "" for label in track.labels),
+    }
+    return Recording(**content)
 
 
 def _lines(path: Path) -> Iterator[tuple[str, bytes]]:

@@ -11,25 +11,18 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from kinecast.errors import MissingExtraError, OptionError
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.typing import Origin
 
-try:
-    from websockets.asyncio.server import Server, ServerConnection, serve
-    from websockets.typing import Origin
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("live streams", "live") from error
-
-__all__ = ["MOST_CLIENTS", "TRY_LATER", "Address", "Network", "WebSocketServer"]
+from kinecast.errors import OptionError
 
 LOOPBACK = "127.0.0.1"
 MOST_CLIENTS = 16
 """WebSocket clients of one source or sink."""
 TRY_LATER = 1013
 """Close code of RFC 6455."""
-OWN_PAGES: list[Origin | re.Pattern[str] | None] = [
-    None,
-    re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"),
-]
+_LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+OWN_PAGES: list[Origin | re.Pattern[str] | None] = [None, _LOCAL]
 """Programs, and web pages served by this machine: any other page open in a browser here must not listen or lie."""
 GOODBYE, CLOSING = 2.0, 5.0
 """Seconds that a client has to say goodbye, and that closing takes at the most."""
@@ -39,13 +32,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Address:
-    """Where to listen.
-
-    Attributes:
-        scheme: such as "ws" or "udp".
-        host: a name or address of this machine.
-        port: 0 is any that is free.
-    """
+    """Where to listen: a host of this machine, and a port, where 0 is any that is free."""
 
     scheme: str
     host: str
@@ -53,11 +40,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str, default: int | None = None) -> Address:
-        """From `SCHEME://HOST:PORT`; without a host it is the loopback.
-
-        Args:
-            text: the address.
-            default: the port where none is given; None where it must be.
+        """From `SCHEME://HOST:PORT`; without a host it is the loopback, without a port the default, if there is one.
 
         Raises:
             OptionError: it is no such address.
@@ -85,11 +68,7 @@ class Network:
         self._thread.start()
 
     def open(self, address: Address, opening: Coroutine[Any, Any, _T]) -> _T:
-        """What `opening` gives, run in the loop.
-
-        Raises:
-            OptionError: nothing can listen at the address.
-        """
+        """What `opening` gives, run in the loop; an OptionError where nothing can listen at the address."""
         try:
             return asyncio.run_coroutine_threadsafe(opening, self._loop).result()
         except (OSError, UnicodeError, OverflowError) as error:
@@ -125,19 +104,13 @@ async def _cancel_others() -> None:
 
 
 class WebSocketServer:
-    """A WebSocket server with the limits of every source and sink.
+    """A WebSocket server with the limits of every source and sink, at its address at once, or an OptionError.
 
     Args:
-        address: where it listens, at once.
+        address: where; with port 0 the attribute has the one it really listens at.
         network: that it runs in.
         handler: called for every client.
         largest: bytes of a message; a client that sends more is disconnected.
-
-    Attributes:
-        address: with the port it really listens at.
-
-    Raises:
-        OptionError: nothing can listen there.
     """
 
     def __init__(

@@ -12,8 +12,6 @@ import numpy as np
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
-__all__ = ["UPPER_TRIANGLE", "Publication", "arms_of", "colour_of"]
-
 _GREEN, _AMBER, _RED = (0.25, 0.75, 0.35), (0.95, 0.65, 0.15), (0.9, 0.2, 0.2)
 UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
 """Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
@@ -23,23 +21,14 @@ TENTH_OF_MILLIMETRE = 4
 
 @dataclass(frozen=True)
 class Publication:
-    """A prediction, with what it rests on; samples and density are left behind, so that waiting ones stay small.
+    """A prediction, with what it rests on; samples and density are left behind, so that waiting ones stay small."""
 
-    Attributes:
-        number: counts publications from 1.
-        source: name of the source.
-        frame: the frame it rests on.
-        prediction: without samples and density.
-        tubes: of the prediction.
-        acquired: when the frame was taken [s], on `time.monotonic`.
-    """
-
-    number: int
+    number: int  # counts publications from 1
     source: str
-    frame: SkeletonFrame
-    prediction: Prediction
+    frame: SkeletonFrame  # that it rests on
+    prediction: Prediction  # without samples and density
     tubes: Tubes
-    acquired: float
+    acquired: float  # when the frame was taken [s], on `time.monotonic`
 
     @classmethod
     def of(

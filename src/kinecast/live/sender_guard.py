@@ -11,8 +11,6 @@ from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError, decode
 from kinecast.types import SkeletonFrame
 
-__all__ = ["MOST_PERSONS", "MOST_SENDERS", "SenderGuard"]
-
 MOST_PERSONS = 16
 """Persons of one source, or of one camera of it, at once."""
 MOST_SENDERS = 16
@@ -26,13 +24,9 @@ class CameraFusion(Protocol):
     """Where what the cameras of a rig see goes (kinecast.cameras)."""
 
     @property
-    def cameras(self) -> Collection[str]:
-        """Names of the rig's cameras."""
-        ...
+    def cameras(self) -> Collection[str]: ...  # names of those in the rig
 
-    def put(self, camera: str, feed: Feed, person: View | SkeletonFrame, acquired: float) -> None:
-        """Takes one person as one camera saw them; `acquired` [s] is on `time.monotonic`."""
-        ...
+    def put(self, camera: str, feed: Feed, person: View | SkeletonFrame, acquired: float) -> None: ...
 
 
 class SenderGuard:

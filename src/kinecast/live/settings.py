@@ -8,19 +8,12 @@ from urllib.parse import parse_qsl
 
 from kinecast.errors import OptionError
 
-__all__ = ["choice", "number", "settings_of", "whole_number"]
-
 
 def settings_of(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]:
-    """The settings in a query, `name=value` with `&` between them.
-
-    Args:
-        text: the SOURCE or SINK, for messages.
-        query: what stands behind its question mark.
-        allowed: names.
+    """The settings in the query of a SOURCE or SINK, `name=value` with `&` between them.
 
     Raises:
-        OptionError: one has another name.
+        OptionError: one has a name that is not allowed.
     """
     found = dict(parse_qsl(query, keep_blank_values=True))
     unknown = sorted(set(found) - set(allowed))
@@ -44,14 +37,7 @@ def choice(settings: Mapping[str, str], name: str, allowed: tuple[str, ...], tex
 def number(
     settings: Mapping[str, str], name: str, default: float, text: str, low: float = -math.inf, high: float = math.inf
 ) -> float:
-    """One of the settings, as a number.
-
-    Args:
-        settings: those given.
-        name: of this one.
-        default: where it is not given.
-        text: the SOURCE or SINK, for messages.
-        low, high: least and largest allowed; where there are none, whoever takes the number checks it.
+    """One of the settings, as a number; without a range, whoever takes it checks that.
 
     Raises:
         OptionError: it is no number, or outside its range.

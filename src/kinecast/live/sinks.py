@@ -15,8 +15,6 @@ from kinecast.live.counters import SinkCounters
 from kinecast.live.network import CLOSING, MOST_CLIENTS, TRY_LATER, Address, Network, WebSocketServer
 from kinecast.live.publication import Publication
 
-__all__ = ["MOST_UNSENT", "MOST_WAITING", "FileSink", "JsonlSink", "Sink", "WebSocketSink"]
-
 MOST_WAITING = 100
 """Publications that wait for a disc; more are dropped and counted."""
 MOST_UNSENT = 256 * 1024
@@ -29,37 +27,18 @@ LOOK = 0.1
 
 @runtime_checkable
 class Sink(Protocol):
-    """Takes publications.
-
-    Attributes:
-        address: where they go, for messages.
-        counters: what was sent and dropped, and why it has stopped.
-    """
+    """Takes publications; `address` says where they go, in messages."""
 
     address: str
     counters: SinkCounters
 
-    def publish(self, publication: Publication) -> None:
-        """Takes one; neither waits nor raises."""
-        ...
+    def publish(self, publication: Publication) -> None: ...  # neither waits nor raises
 
-    def close(self) -> None:
-        """Sends or writes what it has taken, and ends within seconds."""
-        ...
+    def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
 class FileSink:
-    """A file that is written in a thread of its own.
-
-    Args:
-        path: of the file; one that is there is replaced.
-
-    Attributes:
-        file: as opened.
-
-    Raises:
-        OSError: it cannot be opened.
-    """
+    """A file that is written in a thread of its own; one that is at the path is replaced, or an OSError raised."""
 
     def __init__(self, path: Path) -> None:
         self.address = str(path)
@@ -119,16 +98,7 @@ class JsonlSink(FileSink):
 
 
 class WebSocketSink:
-    """Sends every client each prediction (docs/live.md), as JSON text or binary msgpack, and waits for none of them.
-
-    Args:
-        address: where it listens, at once.
-        network: that it runs in.
-        msgpack: instead of JSON.
-
-    Raises:
-        OptionError: nothing can listen there.
-    """
+    """Sends every client each prediction (docs/live.md), as JSON text or binary msgpack, and waits for none of them."""
 
     def __init__(self, address: Address, network: Network, msgpack: bool = False) -> None:
         self._network = network

@@ -6,7 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 from websockets.asyncio.server import ServerConnection
@@ -19,43 +19,23 @@ from kinecast.live.network import CLOSING, MOST_CLIENTS, TRY_LATER, Address, Net
 from kinecast.live.sender_guard import SenderGuard
 from kinecast.types import SkeletonFrame
 
-__all__ = ["RecordedSource", "Source", "UdpSource", "WebSocketSource"]
-
 TOO_BIG = 1009
 """Close code of RFC 6455."""
 
 
 @runtime_checkable
 class Source(Protocol):
-    """Puts frames into its feed from a thread of its own.
-
-    Attributes:
-        address: where frames come from, for messages.
-    """
+    """Puts frames into its feed from a thread of its own; `address` says where they come from, in messages."""
 
     address: str
 
-    def start(self) -> None:
-        """Begins."""
-        ...
+    def start(self) -> None: ...
 
-    def close(self) -> None:
-        """Ends; no frame comes afterwards."""
-        ...
+    def close(self) -> None: ...  # no frame comes afterwards
 
 
 class WebSocketSource:
-    """A WebSocket server that clients send skeletons to, one a message.
-
-    Args:
-        address: where it listens, at once; the mailbox keeps the newest until it is started.
-        feed: where frames go.
-        network: that it runs in.
-        guard: takes the messages.
-
-    Raises:
-        OptionError: nothing can listen there.
-    """
+    """A WebSocket server that clients send skeletons to, one a message; it listens from the beginning."""
 
     def __init__(self, address: Address, feed: Feed, network: Network, guard: SenderGuard) -> None:
         self._feed = feed
@@ -64,10 +44,9 @@ class WebSocketSource:
         self.address = feed.name = self._server.address
 
     def start(self) -> None:
-        """Nothing: it listens from the beginning."""
+        pass
 
     def close(self) -> None:
-        """Says goodbye to clients and stops listening."""
         self._server.close()
 
     async def _receive(self, connection: ServerConnection) -> None:
@@ -88,7 +67,7 @@ class WebSocketSource:
 
 
 class UdpSource(asyncio.DatagramProtocol):
-    """A UDP port that skeletons are sent to, one a datagram; see `WebSocketSource`."""
+    """A UDP port that skeletons are sent to, one a datagram; it listens from the beginning."""
 
     def __init__(self, address: Address, feed: Feed, network: Network, guard: SenderGuard) -> None:
         self._feed = feed
@@ -99,10 +78,9 @@ class UdpSource(asyncio.DatagramProtocol):
         self.address = feed.name = str(Address(address.scheme, address.host, port))
 
     def start(self) -> None:
-        """Nothing: it listens from the beginning."""
+        pass
 
     def close(self) -> None:
-        """Stops listening."""
         self._network.finish(self._stop_listening())
 
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
@@ -118,41 +96,28 @@ class UdpSource(asyncio.DatagramProtocol):
         self._transport.close()
 
 
+@dataclass
 class RecordedSource:
-    """Plays a recording's frames; each is acquired at the instant it is due.
+    """Plays a recording's frames, by stamp; each is acquired at the instant it is due."""
 
-    Args:
-        name: for messages.
-        feed: where frames go.
-        frames: by stamp, at least one.
-        speed: 2 plays twice as fast, 0.01..1000.
-        repeat: how often it is played, with stamps that go on; 1 or more.
+    address: str
+    feed: Feed
+    frames: Sequence[SkeletonFrame]
+    speed: float = 1.0  # 2 plays twice as fast
+    repeat: int = 1  # how often it is played, with stamps that go on
 
-    Raises:
-        OptionError: a speed or repeat outside its range.
-    """
-
-    def __init__(
-        self, name: str, feed: Feed, frames: Sequence[SkeletonFrame], speed: float = 1.0, repeat: int = 1
-    ) -> None:
-        if not 0.01 <= speed <= 1000:
-            raise OptionError(f"{name}: speed {speed:g} is outside 0.01..1000")
-        if repeat < 1:
-            raise OptionError(f"{name}: repeat {repeat} must be at least 1")
-        self.address = name
-        self._feed = feed
-        self._frames = frames
-        self._speed = speed
-        self._repeat = repeat
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.speed <= 1000:
+            raise OptionError(f"{self.address}: speed {self.speed:g} is outside 0.01..1000")
+        if self.repeat < 1:
+            raise OptionError(f"{self.address}: repeat {self.repeat} must be at least 1")
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._play, name=name, daemon=True)
+        self._thread = threading.Thread(target=self._play, name=self.address, daemon=True)
 
     def start(self) -> None:
-        """Begins to play."""
         self._thread.start()
 
     def close(self) -> None:
-        """Stops, and waits until it has."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(CLOSING)
@@ -163,14 +128,14 @@ class RecordedSource:
             due = begun + after
             if self._stop.wait(max(due - time.monotonic(), 0.0)):
                 break
-            self._feed.put(frame, due, self._speed)
-        self._feed.end()
+            self.feed.put(frame, due, self.speed)
+        self.feed.end()
 
     def _due(self) -> Iterator[tuple[float, SkeletonFrame]]:
         """Every frame, and how long after the beginning it is due [s]."""
-        first, last = self._frames[0].stamp, self._frames[-1].stamp
-        period = (last - first) * len(self._frames) / max(len(self._frames) - 1, 1)
-        for turn in range(self._repeat):
-            for frame in self._frames:
+        first, last = self.frames[0].stamp, self.frames[-1].stamp
+        period = (last - first) * len(self.frames) / max(len(self.frames) - 1, 1)
+        for turn in range(self.repeat):
+            for frame in self.frames:
                 stamp = frame.stamp + turn * period
-                yield (stamp - first) / self._speed, replace(frame, stamp=stamp) if turn else frame
+                yield (stamp - first) / self.speed, replace(frame, stamp=stamp) if turn else frame

@@ -22,8 +22,6 @@ from kinecast.live.sender_guard import FORGET, MOST_PERSONS, SenderGuard
 from kinecast.live.settings import choice
 from kinecast.types import SkeletonFrame
 
-__all__ = ["DEFAULT_PORT", "XsensGuard", "XsensOptions"]
-
 DEFAULT_PORT = 9763
 """MVN sends to this one unless told otherwise (2.3)."""
 BODY = 23
@@ -53,17 +51,11 @@ _UPPER_ARMS = np.array(
 
 @dataclass(frozen=True)
 class XsensOptions:
-    """What MVN's datagrams leave open.
+    """What MVN's datagrams leave open."""
 
-    Attributes:
-        person: the only character to take (0..255); None for all.
-        up: "z" or "y", as chosen in MVN; None for its default: y with Euler angles, z with quaternions.
-        by_arrival: whether the time of arrival stamps a frame: for senders whose time code stands still.
-    """
-
-    person: int | None = None
-    up: str | None = None
-    by_arrival: bool = False
+    person: int | None = None  # the only character to take (0..255); None for all
+    up: str | None = None  # "z" or "y", as chosen in MVN; None for its default: y with Euler angles, z with quaternions
+    by_arrival: bool = False  # the time of arrival stamps a frame: for senders whose time code stands still
 
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> XsensOptions:
@@ -191,10 +183,6 @@ class XsensGuard(SenderGuard):
 
     Frames are of Xsens 23, one as soon as its whole body is there, or once its rest is not waited for any more: what
     did not come is not seen (NaN) then. A person is named by the character's number.
-
-    Args:
-        feed: where frames go, and what is no pose, late or incomplete is counted.
-        options: what the datagrams leave open.
     """
 
     def __init__(self, feed: Feed, options: XsensOptions) -> None:
