@@ -33,7 +33,7 @@ from benchmarks.machine import facts, milliseconds, save
 from kinecast.datasets import table
 from kinecast.datasets.loading import load
 from kinecast.datasets.synthetic import SyntheticOptions, generate
-from kinecast.live.mcap import PREDICTIONS
+from kinecast.live.mcap_file import PREDICTIONS
 
 COMMAND = (sys.executable, "-c", "from kinecast.cli import main; main()", "live")
 SETTLED = 10.0

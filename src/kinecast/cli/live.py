@@ -8,7 +8,7 @@ import logging
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +16,6 @@ from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
-from kinecast.cli.destination import check_file
 from kinecast.cli.options import SceneFile, check_seed
 from kinecast.cli.progress import CONSOLE
 from kinecast.cli.recordings import one_scene, read_recordings
@@ -26,8 +25,6 @@ from kinecast.pipeline import frames
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame
 
-__all__ = ["live"]
-
 Sources = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(name="source", metavar="SOURCE", help_behavior_hint="(once or more)"),
@@ -36,7 +33,6 @@ Sinks = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(name="sink", metavar="SINK", help_behavior_hint="(once or more)"),
 ]
-
 RigFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: no fusion)")]
 
 
@@ -68,56 +64,53 @@ def live(
     """
     from kinecast.cameras.fused_source import FusedSource
     from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
-    from kinecast.cli.live_opening import open_sinks, open_sources, read_sink, read_source
-    from kinecast.live.loop import Live, Source
+    from kinecast.cli.live_opening import open_sink, open_source, read_sink, read_source
+    from kinecast.live.loop import Live
     from kinecast.live.mailbox import Mailbox
     from kinecast.live.network import Network
     from kinecast.live.sinks import Sink
+    from kinecast.live.sources import Source
 
     check_seed(seed)
     if not 0 < level < 1:
         raise OptionError(f"--level {level} is outside 0..1")
     inputs = [read_source(each) for each in _once("--source", sources)]
     outputs = [read_sink(each) for each in _once("--sink", sinks)]
-    for each in outputs:
-        if isinstance(each.place, Path):
-            check_file(each.place, (each.place.suffix,), "--sink")
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
     first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
-    mailbox, network = Mailbox(), Network()
+    mailbox = Mailbox()
     opened_sources: list[Source] = []
     opened_sinks: list[Sink] = []
-    with _until_told() as stop, _logged():
-        try:
-            fused = None if cameras is None else FusedSource(cameras, mailbox.feed("fusion"))
-            if fused is not None:
-                opened_sources.append(fused)
-            open_sources(inputs, _frames, mailbox, network, opened_sources, fused)
-            open_sinks(outputs, network, opened_sinks, obstacles)
-            loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
+    # At the end sources are closed first, then sinks, then the network that they run in.
+    with ExitStack() as last, closing(Network()) as network, ExitStack() as close_sinks, ExitStack() as close_sources:
+        last.enter_context(_logged())
+        close_sources.callback(mailbox.discard)
+        fused = None if cameras is None else FusedSource(cameras, mailbox.feed("fusion"))
+        if fused is not None:
+            opened_sources.append(close_sources.enter_context(closing(fused)))
+        for each in inputs:
+            source = open_source(each, _frames, mailbox, network, fused)
+            opened_sources.append(close_sources.enter_context(closing(source)))
+        for each in sorted(outputs, key=lambda each: each.replaces_file):
+            opened_sinks.append(close_sinks.enter_context(closing(open_sink(each, network, obstacles))))
+        loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
+        stop = last.enter_context(_until_told())  # until here, Ctrl-C ends it in the middle of what it opens
+        for source in opened_sources:
+            print(f"source: {source.address}")
+        for sink in opened_sinks:
+            print(f"sink: {sink.address}")
+        print("Ctrl-C ends it", flush=True)
+        gc.collect()
+        gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
+        last.callback(gc.unfreeze)
+        with shown(loop):
             for source in opened_sources:
-                print(f"source: {source.address}")
-            for sink in opened_sinks:
-                print(f"sink: {sink.address}")
-            print("Ctrl-C ends it", flush=True)
-            gc.collect()
-            gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
-            with shown(loop):
-                for source in opened_sources:
-                    source.start()
-                loop.run(stop)
-        finally:
-            gc.unfreeze()
-            for source in opened_sources:
-                source.close()
-            mailbox.discard()
-            for sink in opened_sinks:
-                sink.close()
-            network.close()
+                source.start()
+            loop.run(stop)
     print(summary(loop))
-    failures = [sink.failure for sink in opened_sinks if sink.failure is not None]
+    failures = [sink.counters.failure for sink in opened_sinks if sink.counters.failure is not None]
     if failures:
         raise OSError("; ".join(failures))
 

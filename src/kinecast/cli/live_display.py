@@ -14,10 +14,7 @@ from rich.text import Text
 from kinecast.cli.progress import CONSOLE
 from kinecast.live.loop import Live
 from kinecast.live.mailbox import Feed
-from kinecast.live.sinks import Sink
 from kinecast.types import Status
-
-__all__ = ["shown", "summary"]
 
 SILENT = 0.5
 """After so long without a frame [s] a source is said to be silent."""
@@ -57,17 +54,14 @@ def tables(loop: Live, running: bool = True) -> Group:
     for title in ("published", "dropped", "p50 [ms]", "p99 [ms]"):
         goes.add_column(Text(title), justify="right")
     for sink in loop.sinks:
-        goes.add_row(Text(sink.address), *_figures(sink))
-    lines = [Text(f"{status.name}: {count}  {_advice(status)}".rstrip()) for status, count in _statuses(loop)]
+        counters = sink.counters
+        latencies = (f"{1e3 * counters.latency(share):.1f}" if counters.published else "–" for share in (0.5, 0.99))
+        goes.add_row(Text(sink.address), str(counters.published), str(counters.dropped), *latencies)
+    lines = [
+        Text(f"{status.name}: {count}" + ("" if status is Status.OK else f"  ({status.advice})"))
+        for status, count in loop.statuses.copy().most_common()
+    ]
     return Group(comes, Text(), goes, Text(), *lines)
-
-
-def _statuses(loop: Live) -> list[tuple[Status, int]]:
-    return sorted(loop.statuses.copy().items(), key=lambda each: -each[1])
-
-
-def _advice(status: Status) -> str:
-    return "" if status is Status.OK else f"({status.advice})"
 
 
 def _state(loop: Live, feed: Feed, running: bool) -> Text:
@@ -83,9 +77,3 @@ def _state(loop: Live, feed: Feed, running: bool) -> Text:
     if status is None:
         return Text("fused", "green")
     return Text(status.name, "green" if status is Status.OK else "yellow")
-
-
-def _figures(sink: Sink) -> tuple[str, ...]:
-    tally = sink.tally
-    latencies = (f"{1e3 * tally.latency(share):.1f}" if tally.published else "–" for share in (0.5, 0.99))
-    return str(tally.published), str(tally.dropped), *latencies

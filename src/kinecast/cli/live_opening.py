@@ -2,194 +2,186 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qsl
 
+from kinecast.cli.destination import check_file
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.live.admission import Admission
 from kinecast.live.detection import DetectionHandler
-from kinecast.live.loop import Source
 from kinecast.live.mailbox import Feed, Mailbox
-from kinecast.live.mcap import McapSink
-from kinecast.live.network import Address, Network, UdpSource, WebSocketSource
-from kinecast.live.recorded import RecordedSource
-from kinecast.live.settings import number, whole_number
-from kinecast.live.sinks import FileSink, JsonlSink, Sink
-from kinecast.live.websocket import WebSocketSink
-from kinecast.live.xsens import DEFAULT_PORT, XsensAdmission, XsensOptions
+from kinecast.live.mcap_file import McapSink
+from kinecast.live.network import Address, Network
+from kinecast.live.sender_guard import SenderGuard
+from kinecast.live.settings import choice, number, settings_of, whole_number
+from kinecast.live.sinks import FileSink, JsonlSink, Sink, WebSocketSink
+from kinecast.live.sources import RecordedSource, Source, UdpSource, WebSocketSource
+from kinecast.live.xsens import DEFAULT_PORT, XsensGuard, XsensOptions
 from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
-    from kinecast.cameras.fused_source import FusedSource
-
-__all__ = ["Description", "open_sinks", "open_sources", "read_sink", "read_source"]
+    from kinecast.cameras.fused import FusedSource
 
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
     "xsens://HOST:PORT?person=0, realsense:SERIAL?model=FILE, "
     "ros1:, ros2: or dds:/TOPIC?type=PoseArray, bag:PATH?topic=/TOPIC"
 )
-REALSENSE_SETTINGS = ("model", "detector", "size", "rate", "tilt", "height", "camera")
 SINK_FORMS = (
     "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
 )
-_DEFAULT_PORTS = {"xsens": DEFAULT_PORT, "view": 8080}
 _ROS = ("ros1", "ros2", "dds")
-_FILES: dict[str, tuple[type[FileSink], str]] = {"mcap": (McapSink, ".mcap"), "jsonl": (JsonlSink, ".jsonl")}
+_ROS_INPUT = ("type", "joints", "person", "frame", "height", "camera")
+_ROS_OUTPUT = ("outputs", "planning_scene", "parts", "thickness")
+_DDS = ("distro", "domain", "network")
+SOURCE_SETTINGS = {
+    "recording": ("speed", "repeat"),
+    "ws": ("camera",),
+    "udp": ("camera",),
+    "xsens": ("person", "up", "stamps"),
+    "realsense": ("model", "detector", "size", "rate", "tilt", "height", "camera"),
+    "ros1": _ROS_INPUT,
+    "ros2": _ROS_INPUT,
+    "dds": (*_ROS_INPUT, *_DDS),
+    "bag": ("topic", *_ROS_INPUT[1:-1], "speed", "repeat"),
+}
+SINK_SETTINGS: Mapping[str, tuple[str, ...]] = {
+    "view": (),
+    "ws": ("format",),
+    "mcap": (),
+    "jsonl": (),
+    "ros1": _ROS_OUTPUT,
+    "ros2": _ROS_OUTPUT,
+    "dds": (*_ROS_OUTPUT, *_DDS),
+    "bag": ("namespace", *_ROS_OUTPUT, "distro", "storage"),
+}
+"""What may stand behind the question mark of each kind."""
+_DEFAULT_PORTS = {"ws": None, "udp": None, "xsens": DEFAULT_PORT, "view": 8080}
+"""Of the kinds that are addresses; None where a port is needed."""
+_FILES: Mapping[str, type[FileSink]] = {"mcap": McapSink, "jsonl": JsonlSink}
 
 
 @dataclass(frozen=True)
-class Description:
-    """A SOURCE or SINK, taken apart.
+class Endpoint:
+    """A SOURCE or SINK, taken apart: KIND:PLACE?SETTINGS."""
 
-    Attributes:
-        text: as written.
-        kind: "recording", "ws", "udp", "xsens", "realsense", "view", "mcap", "jsonl", "ros1", "ros2", "dds" or
-            "bag".
-        place: a path, the address, a camera's serial number, or a ROS name.
-        settings: what stands behind the question mark.
-    """
-
-    text: str
+    text: str  # as written
     kind: str
-    place: Path | Address | str
+    place: str | Address  # a path, a camera's serial number, a topic or a namespace; or an address
     settings: dict[str, str]
 
+    @property
+    def path(self) -> Path:
+        """The place, where it is a file or folder."""
+        return Path(str(self.place))
 
-def read_source(text: str) -> Description:
-    """Takes a SOURCE apart.
+    @property
+    def address(self) -> Address:
+        """The place, where that is an address."""
+        assert isinstance(self.place, Address)
+        return self.place
 
-    Raises:
-        OptionError: it is none.
-    """
-    if "://" in text:
-        settings = ("person", "up", "stamps") if text.startswith("xsens:") else ("camera",)
-        source = _address(text, ("ws", "udp", "xsens"), settings, f"--source {text}: expected {SOURCE_FORMS}")
+    @property
+    def replaces_file(self) -> bool:
+        """Whether a sink begins with an empty file: opened last, so that none is lost where another cannot be."""
+        return self.kind in (*_FILES, "bag")
+
+
+def read_source(text: str) -> Endpoint:
+    """Takes a SOURCE apart; an OptionError where it is none."""
+    kind, colon, _ = text.partition(":")
+    if not (colon and kind in SOURCE_SETTINGS) and "://" not in text:
+        return Endpoint(text, "recording", text, {})
+    source = _endpoint(text, SOURCE_SETTINGS, f"--source {text}: expected {SOURCE_FORMS}")
+    if source.kind == "xsens":
         XsensOptions.parse(source.settings, text)
-        return source
-    if text.startswith("realsense:"):
-        place, _, query = text.removeprefix("realsense:").partition("?")
-        return Description(text, "realsense", place, _settings(text, query, REALSENSE_SETTINGS))
-    if text.startswith("bag:"):
-        from kinecast.cli.live_ros import BAG_SETTINGS
+    elif source.kind in _ROS:
+        from kinecast.cli.live_ros import incoming  # here, since ROS is an extra
 
-        path, _, query = text.removeprefix("bag:").partition("?")
-        return Description(text, "bag", Path(path), _settings(text, query, BAG_SETTINGS))
-    if (kind := text.partition(":")[0]) in _ROS:
-        from kinecast.cli import live_ros  # here, since ROS is an extra
-
-        source = _ros(text, kind, live_ros.SOURCE_SETTINGS[kind])
-        live_ros.incoming(text, str(source.place), source.settings)
-        return source
-    if not text.startswith("recording:"):
-        return Description(text, "recording", Path(text), {})
-    path, _, query = text.removeprefix("recording:").partition("?")
-    return Description(text, "recording", Path(path), _settings(text, query, ("speed", "repeat")))
+        incoming(source)
+    return source
 
 
-def read_sink(text: str) -> Description:
-    """Takes a SINK apart.
-
-    Raises:
-        OptionError: it is none.
-    """
+def read_sink(text: str) -> Endpoint:
+    """Takes a SINK apart; an OptionError where it is none, or its file cannot be written."""
     wrong = f"--sink {text}: expected {SINK_FORMS}"
-    if "://" in text:
-        return _address(text, ("ws", "view"), () if text.startswith("view:") else ("format",), wrong)
-    kind, colon, path = text.partition(":")
-    if kind in _ROS:
-        from kinecast.cli import live_ros  # here, since ROS is an extra
+    sink = _endpoint(text, SINK_SETTINGS, wrong)
+    choice(sink.settings, "format", ("json", "msgpack"), text)
+    if sink.kind in _FILES:
+        if not sink.place:
+            raise OptionError(wrong)
+        check_file(sink.path, (f".{sink.kind}",), "--sink")
+    elif sink.kind in (*_ROS, "bag"):
+        from kinecast.cli.live_ros import outgoing
 
-        sink = _ros(text, kind, live_ros.SINK_SETTINGS[kind])
-        live_ros.outgoing(text, str(sink.place), sink.settings)
-        return sink
-    if kind == "bag":
-        from kinecast.cli import live_ros
+        outgoing(sink)
+    return sink
 
-        sink = _ros(text, kind, live_ros.BAG_SINK_SETTINGS)
-        live_ros.outgoing(text, sink.settings.get("namespace", ""), sink.settings)
-        return sink
-    if not colon or kind not in _FILES or not path:
+
+def _endpoint(text: str, kinds: Mapping[str, tuple[str, ...]], wrong: str) -> Endpoint:
+    bare, _, query = text.partition("?")
+    kind, colon, place = bare.partition(":")
+    if kind not in kinds or not colon or (kind in _DEFAULT_PORTS) != place.startswith("//"):
         raise OptionError(wrong)
-    ending = _FILES[kind][1]
-    if Path(path).suffix != ending:
-        raise OptionError(f"--sink {text}: its name must end in {ending}")
-    return Description(text, kind, Path(path), {})
+    at = Address.parse(bare, _DEFAULT_PORTS[kind]) if kind in _DEFAULT_PORTS else place
+    return Endpoint(text, kind, at, settings_of(text, query, kinds[kind]))
 
 
-def open_sources(
-    sources: Sequence[Description],
-    play: Callable[[Path], Sequence[SkeletonFrame]],
-    mailbox: Mailbox,
-    network: Network,
-    opened: list[Source],
-    fused: FusedSource | None = None,
-) -> None:
-    """Opens sources, each with a feed of its own; network sources listen at once.
-
-    Args:
-        sources: which.
-        play: gives the frames of a recording.
-        mailbox: for their frames.
-        network: that they run in.
-        opened: those opened are appended, also when one fails.
-        fused: takes what cameras of the rig see; None without a rig.
-
-    Raises:
-        OptionError, DatasetError, ModelError: one cannot be opened.
-    """
-    for each in sources:
-        opened.append(_source(each, play, mailbox, network, fused))
-
-
-def _source(
-    source: Description,
+def open_source(
+    source: Endpoint,
     play: Callable[[Path], Sequence[SkeletonFrame]],
     mailbox: Mailbox,
     network: Network,
     fused: FusedSource | None,
 ) -> Source:
-    if isinstance(source.place, Path):
-        speed = number(source.settings, "speed", 1.0, source.text)
-        repeat = whole_number(source.settings, "repeat", 1, source.text)
-        frames = _bag(source) if source.kind == "bag" else play(source.place)
-        return RecordedSource(source.text, mailbox.feed(source.text), frames, speed, repeat)
-    if isinstance(source.place, str) and source.kind not in _ROS:
-        return _realsense(source, source.place, mailbox, fused)
-    feed = mailbox.feed(source.text)
+    """Opens a source with a feed of its own; network sources listen at once.
+
+    Args:
+        source: which.
+        play: gives the frames of a recording.
+        mailbox: for its frames.
+        network: that it runs in.
+        fused: takes what cameras of the rig see; None without a rig.
+
+    Raises:
+        OptionError, DatasetError, ModelError: it cannot be opened.
+    """
+    text, settings = source.text, source.settings
+    if source.kind in ("recording", "bag"):
+        speed, repeat = number(settings, "speed", 1.0, text), whole_number(settings, "repeat", 1, text)
+        frames = play(source.path) if source.kind == "recording" else _bag_frames(source)
+        return RecordedSource(text, mailbox.feed(text), frames, speed, repeat)
+    if source.kind == "realsense":
+        return _open_realsense(source, mailbox, fused)
+    feed = mailbox.feed(text)
     if source.kind == "xsens":
-        assert isinstance(source.place, Address)
-        return UdpSource(
-            source.place, feed, network, XsensAdmission(feed, XsensOptions.parse(source.settings, source.text))
-        )
+        return UdpSource(source.address, feed, network, XsensGuard(feed, XsensOptions.parse(settings, text)))
     if fused is not None:
         fused.expect(feed)
     _deliverer(source, feed, fused)
-    admission = Admission(feed, fused, source.settings.get("camera", ""))
-    if isinstance(source.place, str):
-        from kinecast.cli.live_ros import open_source
+    guard = SenderGuard(feed, fused, settings.get("camera", ""))
+    if source.kind in _ROS:
+        from kinecast.cli.live_ros import open_source as open_ros_source
 
-        return open_source(source.text, source.kind, source.place, source.settings, feed, admission)
-    return (WebSocketSource if source.kind == "ws" else UdpSource)(source.place, feed, network, admission)
+        return open_ros_source(source, feed, guard)
+    return (WebSocketSource if source.kind == "ws" else UdpSource)(source.address, feed, network, guard)
 
 
-def _bag(source: Description) -> list[SkeletonFrame]:
+def _bag_frames(source: Endpoint) -> Sequence[SkeletonFrame]:
     from kinecast.cli.live_ros import bag_frames
 
-    return bag_frames(source.text, Path(str(source.place)), source.settings)
+    return bag_frames(source)
 
 
-def _realsense(source: Description, place: str, mailbox: Mailbox, fused: FusedSource | None) -> Source:
+def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | None) -> Source:
     from kinecast.cameras.realsense import RealSenseOptions, RealSenseSource  # here, since cameras are an extra
 
     options = RealSenseOptions.parse(source.settings, source.text)
-    name = f"realsense:{place}"
+    name = f"realsense:{source.place}"
     feed = mailbox.feed(name)
-    opened = RealSenseSource(name, feed, place, options, _deliverer(source, feed, fused))
+    opened = RealSenseSource(name, feed, str(source.place), options, _deliverer(source, feed, fused))
     if fused is not None and "camera" in source.settings:
         calibrated = fused.rig.cameras[source.settings["camera"]].intrinsics
         found = opened.intrinsics
@@ -199,68 +191,32 @@ def _realsense(source: Description, place: str, mailbox: Mailbox, fused: FusedSo
     return opened
 
 
-def _deliverer(source: Description, feed: Feed, fused: FusedSource | None) -> DetectionHandler | None:
+def _deliverer(source: Endpoint, feed: Feed, fused: FusedSource | None) -> DetectionHandler | None:
     """Where a source delivers what its camera of the rig sees; None where it is of no such camera."""
     camera = source.settings.get("camera")
     if camera is None:
         return None
     if fused is None:
         raise OptionError(f"{source.text}: a camera needs --rig, the file that says where it stands")
-    return fused.handler(camera, feed)
+    return fused.deliverer(camera, feed)
 
 
-def open_sinks(sinks: Sequence[Description], network: Network, opened: list[Sink], scene: Scene | None = None) -> None:
-    """Opens sinks: addresses first, so that no file is replaced where one of them cannot be.
+def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> Sink:
+    """Opens a sink; an OptionError where it cannot be.
 
     Args:
-        sinks: which.
-        network: that they run in.
-        opened: those opened are appended, also when one fails.
+        sink: which.
+        network: that it runs in.
         scene: obstacles and goals, for sinks that draw them.
-
-    Raises:
-        OptionError: one cannot be opened.
     """
-    for each in sinks:
-        if isinstance(each.place, Address) and each.kind == "view":
-            from kinecast.view.live_view import LiveView  # here, since the view is an extra
+    if sink.kind in _FILES:
+        return _FILES[sink.kind](sink.path)
+    if sink.kind == "ws":
+        return WebSocketSink(sink.address, network, sink.settings.get("format") == "msgpack")
+    if sink.kind == "view":
+        from kinecast.view.live_view import LiveView  # here, since the view is an extra
 
-            opened.append(LiveView(each.place.host, each.place.port, scene, f"--sink {each.text}"))
-        elif isinstance(each.place, Address):
-            opened.append(WebSocketSink(each.place, network, each.settings.get("format") == "msgpack"))
-        elif isinstance(each.place, str):
-            from kinecast.cli.live_ros import open_sink
+        return LiveView(sink.address.host, sink.address.port, scene, f"--sink {sink.text}")
+    from kinecast.cli.live_ros import open_sink as open_ros_sink
 
-            if each.kind != "bag":
-                opened.append(open_sink(each.text, each.kind, each.place, each.settings))
-    for each in sinks:
-        if each.kind == "bag":
-            from kinecast.cli.live_ros import open_bag_sink
-
-            opened.append(open_bag_sink(each.text, Path(str(each.place)), each.settings))
-        elif isinstance(each.place, Path):
-            opened.append(_FILES[each.kind][0](each.place))
-
-
-def _address(text: str, schemes: tuple[str, ...], settings: tuple[str, ...], wrong: str) -> Description:
-    bare, _, query = text.partition("?")
-    if bare.partition("://")[0] not in schemes:
-        raise OptionError(wrong)
-    address = Address.parse(bare, _DEFAULT_PORTS.get(bare.partition("://")[0]))
-    found = _settings(text, query, settings)
-    if found.get("format", "json") not in ("json", "msgpack"):
-        raise OptionError(f"{text}: format {found['format']}, allowed are json, msgpack")
-    return Description(text, address.scheme, address, found)
-
-
-def _ros(text: str, kind: str, allowed: tuple[str, ...]) -> Description:
-    name, _, query = text.removeprefix(f"{kind}:").partition("?")
-    return Description(text, kind, name, _settings(text, query, allowed))
-
-
-def _settings(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]:
-    found = dict(parse_qsl(query, keep_blank_values=True))
-    unknown = sorted(set(found) - set(allowed))
-    if unknown or (query and not found):
-        raise OptionError(f"{text}: {', '.join(unknown) or query} unknown; allowed are {', '.join(allowed) or 'none'}")
-    return found
+    return open_ros_sink(sink)

@@ -1,18 +1,17 @@
-"""Sources and sinks of ROS, from what is written on the command line (docs/ros.md)."""
+"""Sources and sinks of ROS, from what is written on the command line (docs/ros.md); what is wrong is an OptionError."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from pathlib import Path
 
+from kinecast.cli.live_opening import Endpoint
 from kinecast.cli.progress import note
 from kinecast.errors import OptionError
-from kinecast.live.admission import Admission
-from kinecast.live.loop import Source
 from kinecast.live.mailbox import Feed
+from kinecast.live.sender_guard import SenderGuard
 from kinecast.live.settings import number, whole_number
 from kinecast.live.sinks import MOST_WAITING, Sink
+from kinecast.live.sources import Source
 from kinecast.ros.bags import BagWriter, read_frames
 from kinecast.ros.carrier import Carrier, RosSink, RosSource
 from kinecast.ros.dds import DdsCarrier
@@ -24,133 +23,74 @@ from kinecast.ros.ros1 import Ros1Carrier
 from kinecast.ros.ros2 import Ros2Carrier
 from kinecast.types import SkeletonFrame
 
-__all__ = [
-    "BAG_SETTINGS",
-    "BAG_SINK_SETTINGS",
-    "SINK_SETTINGS",
-    "SOURCE_SETTINGS",
-    "bag_frames",
-    "incoming",
-    "open_bag_sink",
-    "open_sink",
-    "open_source",
-    "outgoing",
-]
-
-_INPUT = ("type", "joints", "person", "frame", "height", "camera")
-_OUTPUT = ("outputs", "planning_scene", "parts", "thickness")
-_DDS = ("distro", "domain", "network")
-SOURCE_SETTINGS = {"ros1": _INPUT, "ros2": _INPUT, "dds": (*_INPUT, *_DDS)}
-SINK_SETTINGS = {"ros1": _OUTPUT, "ros2": _OUTPUT, "dds": (*_OUTPUT, *_DDS)}
-BAG_SETTINGS = ("topic", *_INPUT[1:-1], "speed", "repeat")
-BAG_SINK_SETTINGS = ("namespace", *_OUTPUT, "distro", "storage")
-"""What may stand behind the question mark."""
 ROOM = 8
 """Publications that wait for a network."""
 
 
-def incoming(text: str, topic: str, settings: Mapping[str, str]) -> Incoming:
-    """What reads a topic's messages.
-
-    Args:
-        text: the SOURCE, for messages.
-        topic: as written.
-        settings: some of `SOURCE_SETTINGS`.
-
-    Raises:
-        OptionError: no type, or one that is not read, or settings that do not fit.
-    """
+def incoming(source: Endpoint) -> Incoming:
+    """What reads a topic's messages."""
+    topic, settings = str(source.place), source.settings
     if not topic.startswith("/"):
-        raise OptionError(f"{text}: a topic such as /skeletons is expected")
+        raise OptionError(f"{source.text}: a topic such as /skeletons is expected")
     if "type" not in settings and topic not in ("/tf", "/tf_static"):
-        raise OptionError(f"{text}: say of which type the messages are, such as type=PoseArray")
+        raise OptionError(f"{source.text}: say of which type the messages are, such as type=PoseArray")
     type_ = input_type(settings["type"]) if "type" in settings else TF_TYPE
-    return Incoming(topic, type_, _input_options(text, settings))
+    return Incoming(topic, type_, _input_options(source))
 
 
-def outgoing(text: str, namespace: str, settings: Mapping[str, str]) -> Outgoing:
-    """What makes messages of predictions.
-
-    Args:
-        text: the SINK, for messages.
-        namespace: as written; "" is /kinecast.
-        settings: some of `SINK_SETTINGS`.
-
-    Raises:
-        OptionError: a name that is none, or settings outside their ranges.
-    """
-    parts = whole_number(settings, "parts", SceneOptions.parts, text)
-    scene = SceneOptions(parts, number(settings, "thickness", SceneOptions.thickness, text))
+def outgoing(sink: Endpoint) -> Outgoing:
+    """What makes messages of predictions."""
+    settings = sink.settings
+    namespace = settings.get("namespace") if sink.kind == "bag" else str(sink.place)
+    parts = whole_number(settings, "parts", SceneOptions.parts, sink.text)
+    scene = SceneOptions(parts, number(settings, "thickness", SceneOptions.thickness, sink.text))
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS
     return Outgoing(OutputOptions(namespace or "/kinecast", outputs, settings.get("planning_scene", ""), scene))
 
 
-def open_source(
-    text: str, kind: str, topic: str, settings: Mapping[str, str], feed: Feed, admission: Admission
-) -> Source:
-    """A source of one of the kinds of `SOURCE_SETTINGS`.
-
-    Raises:
-        OptionError: as `incoming`, or there is no ROS here.
-    """
-    return RosSource(text, feed, incoming(text, topic, settings), _carrier(kind, settings), admission)
+def open_source(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:
+    """A topic of ROS 1, ROS 2 or DDS."""
+    return RosSource(source.text, feed, incoming(source), _carrier(source), guard)
 
 
-def open_sink(text: str, kind: str, namespace: str, settings: Mapping[str, str]) -> Sink:
-    """A sink of one of the kinds of `SINK_SETTINGS`.
+def open_sink(sink: Endpoint) -> Sink:
+    """Topics of ROS 1, ROS 2 or DDS, or a bag."""
+    told = outgoing(sink)
+    if sink.kind != "bag":
+        return RosSink(sink.text, told, _carrier(sink), ROOM)
+    writer = BagWriter(sink.path, _distribution(sink, sink.text), sink.settings.get("storage", "mcap"))
+    return RosSink(sink.text, told, writer, MOST_WAITING)
 
-    Raises:
-        OptionError: as `outgoing`, or there is no ROS here.
-    """
-    return RosSink(text, outgoing(text, namespace, settings), _carrier(kind, settings), ROOM)
 
-
-def bag_frames(text: str, path: Path, settings: Mapping[str, str]) -> list[SkeletonFrame]:
-    """Frames of a bag; messages that are none are passed over, and counted on the terminal.
-
-    Raises:
-        DatasetError, OptionError: as `read_frames`.
-    """
-    frames, wrong = read_frames(path, settings.get("topic", ""), _input_options(text, settings))
+def bag_frames(source: Endpoint) -> list[SkeletonFrame]:
+    """Frames of a bag; messages that are none are passed over, and counted on the terminal."""
+    frames, wrong = read_frames(source.path, source.settings.get("topic", ""), _input_options(source))
     if wrong:
-        note(f"{path}: {wrong} messages were no skeletons")
+        note(f"{source.path}: {wrong} messages were no skeletons")
     return frames
 
 
-def open_bag_sink(text: str, path: Path, settings: Mapping[str, str]) -> Sink:
-    """A bag for predictions.
-
-    Raises:
-        OptionError: as `outgoing`, or the bag cannot be made.
-    """
-    told = outgoing(text, settings.get("namespace", ""), settings)
-    writer = BagWriter(path, _distribution(text, settings), settings.get("storage", "mcap"))
-    return RosSink(text, told, writer, MOST_WAITING)
-
-
-def _carrier(kind: str, settings: Mapping[str, str]) -> Carrier:
-    if kind == "ros1":
+def _carrier(endpoint: Endpoint) -> Carrier:
+    if endpoint.kind == "ros1":
         return Ros1Carrier()
-    if kind == "ros2":
+    if endpoint.kind == "ros2":
         return Ros2Carrier()
-    domain = settings.get("domain", os.environ.get("ROS_DOMAIN_ID", "0"))
+    domain = endpoint.settings.get("domain", os.environ.get("ROS_DOMAIN_ID", "0"))
     if not domain.isdecimal():
         raise OptionError(f"domain {domain!r} is no whole number")
-    return DdsCarrier(_distribution("dds", settings), int(domain), settings.get("network", ""))
+    return DdsCarrier(_distribution(endpoint, "dds"), int(domain), endpoint.settings.get("network", ""))
 
 
-def _distribution(text: str, settings: Mapping[str, str]) -> Distribution:
-    name = settings.get("distro", Distribution.JAZZY.value)
+def _distribution(endpoint: Endpoint, where: str) -> Distribution:
+    name = endpoint.settings.get("distro", Distribution.JAZZY.value)
     known = {each.value: each for each in Distribution if each.generation == 2}
     if name not in known:
-        raise OptionError(f"{text}: distro {name!r}, expected {' or '.join(known)}")
+        raise OptionError(f"{where}: distro {name!r}, expected {' or '.join(known)}")
     return known[name]
 
 
-def _input_options(text: str, settings: Mapping[str, str]) -> InputOptions:
-    return InputOptions(
-        settings.get("joints", ""),
-        settings.get("person", "0"),
-        settings.get("frame", "").lstrip("/"),
-        number(settings, "height", InputOptions.height, text),
-    )
+def _input_options(source: Endpoint) -> InputOptions:
+    settings = source.settings
+    height = number(settings, "height", InputOptions.height, source.text)
+    frame = settings.get("frame", "").lstrip("/")
+    return InputOptions(settings.get("joints", ""), settings.get("person", "0"), frame, height)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["SourceClock"]
-
 WINDOW = 15.0
 """The least lag is sought over one to two of these [s]; clocks that drift 50 ppm apart part by 1.5 ms in that time."""
 JUMP = 1.0
@@ -35,12 +33,7 @@ class SourceClock:
         return min(self._least, self._least_before)
 
     def acquired(self, stamp: float, arrived: float) -> float:
-        """When a frame was acquired [s] on this machine's clock, at the latest when it arrived.
-
-        Args:
-            stamp: on the sender's clock [s].
-            arrived: on this machine's [s], never decreasing.
-        """
+        """When a frame was acquired [s] on this machine's clock, on which it arrived; `arrived` never decreases."""
         lag = arrived - stamp
         if lag < self.difference - JUMP:
             self.jumps += self.difference < math.inf

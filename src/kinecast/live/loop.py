@@ -7,15 +7,13 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+from dataclasses import InitVar, dataclass, field
 
 from kinecast.live.mailbox import Arrival, Feed, Mailbox
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import Sink
 from kinecast.predictor import Predictor
-from kinecast.types import Prediction, Status
-
-__all__ = ["Live", "Source"]
+from kinecast.types import Status
 
 LOOK = 0.1
 """Longest wait for a frame before looking whether to end [s]."""
@@ -23,51 +21,21 @@ LOOK = 0.1
 log = logging.getLogger(__name__)
 
 
-@runtime_checkable
-class Source(Protocol):
-    """Puts frames into its feed from a thread of its own.
-
-    Attributes:
-        address: where frames come from, for messages.
-    """
-
-    address: str
-
-    def start(self) -> None:
-        """Begins."""
-        ...
-
-    def close(self) -> None:
-        """Ends; no frame comes afterwards."""
-        ...
-
-
+@dataclass
 class Live:
-    """Sources → predictions → sinks.
+    """Sources → predictions → sinks."""
 
-    Args:
-        mailbox: that the sources' feeds belong to.
-        make_predictor: a predictor for each source, so that one whose clock or persons lie is alone with that.
-        sinks: that take every prediction.
-        level: probability of the tubes.
+    mailbox: Mailbox  # that the sources' feeds belong to
+    make_predictor: InitVar[Callable[[], Predictor]]  # one for each source, so that one that lies is alone with that
+    sinks: Sequence[Sink]  # that take every prediction
+    level: float = 0.95  # probability of the tubes
+    statuses: Counter[Status] = field(default_factory=Counter)  # how often each was published
+    last: dict[Feed, Status] = field(default_factory=dict)  # the newest of each source
+    failures: int = 0  # frames whose prediction could not be published
 
-    Attributes:
-        statuses: how often each status was published.
-        last: per source the newest status.
-        failures: frames whose prediction could not be published.
-    """
-
-    def __init__(
-        self, mailbox: Mailbox, make_predictor: Callable[[], Predictor], sinks: Sequence[Sink], level: float = 0.95
-    ) -> None:
-        self.mailbox = mailbox
-        self.sinks = sinks
-        self.level = level
-        self.statuses: Counter[Status] = Counter()
-        self.last: dict[Feed, Status] = {}
-        self.published = 0
-        self.failures = 0
-        self._predictors = {feed: make_predictor() for feed in mailbox.feeds}
+    def __post_init__(self, make_predictor: Callable[[], Predictor]) -> None:
+        self._published = 0
+        self._predictors = {feed: make_predictor() for feed in self.mailbox.feeds}
 
     def run(self, stop: threading.Event) -> None:
         """Until it is told to stop, or every source has ended."""
@@ -78,22 +46,19 @@ class Live:
 
     def step(self, arrival: Arrival) -> None:
         """One frame, start to end; whatever happens, it does not raise."""
+        feed, frame = arrival.feed, arrival.frame
         try:
-            prediction = self._predict(arrival)
+            delay = max(time.monotonic() - arrival.acquired, 0.0)
+            prediction = self._predictors[feed].observe(frame, frame.stamp + delay * arrival.pace)
             self.statuses[prediction.status] += 1
-            self.last[arrival.feed] = prediction.status
+            self.last[feed] = prediction.status
             publication = Publication.of(
-                self.published + 1, arrival.feed.name, arrival.frame, prediction, self.level, arrival.acquired
+                self._published + 1, feed.name, frame, prediction, self.level, arrival.acquired
             )
-            self.published += 1
+            self._published += 1
             for sink in self.sinks:
                 sink.publish(publication)
         except Exception:
             self.failures += 1
             if self.failures == 1:  # the others are counted
-                log.exception("%s: a prediction could not be published", arrival.feed.name)
-
-    def _predict(self, arrival: Arrival) -> Prediction:
-        delay = time.monotonic() - arrival.acquired
-        frame = arrival.frame
-        return self._predictors[arrival.feed].observe(frame, frame.stamp + max(delay, 0.0) * arrival.pace)
+                log.exception("%s: a prediction could not be published", feed.name)

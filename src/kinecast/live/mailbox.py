@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 from kinecast.types import SkeletonFrame
 
-__all__ = ["Arrival", "Feed", "Mailbox"]
-
 QUIET = 5.0
 """Between two lines in the log about one source [s]."""
 
@@ -19,19 +17,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Arrival:
-    """A frame on its way to the predictor.
+    """A frame on its way to the predictor."""
 
-    Attributes:
-        feed: of the source it came from.
-        frame: as the source gave it.
-        acquired: when the camera took it [s], on `time.monotonic`.
-        pace: seconds of the frames' clock in a second of this machine's; above 1 for a recording played faster.
-    """
-
-    feed: Feed
+    feed: Feed  # of the source it came from
     frame: SkeletonFrame
-    acquired: float
-    pace: float = 1.0
+    acquired: float  # when the camera took it [s], on `time.monotonic`
+    pace: float = 1.0  # seconds of the frames' clock in one of this machine's: above 1 for a recording played faster
 
 
 class Mailbox:
@@ -84,37 +75,30 @@ class Mailbox:
         while (arrival := self.take(0.0)) is not None:
             arrival.feed.superseded += 1
 
-    def wake(self) -> None:
-        """Whoever waits looks again."""
+    def end(self, feed: Feed) -> None:
+        """No frame will come from a source any more."""
         with self._changed:
+            feed.ended = True
             self._changed.notify_all()
 
 
 class Feed:
-    """One source's way in, and what is counted of it.
-
-    Attributes:
-        name: of the source.
-        received: frames that came.
-        superseded: frames that a newer one of the same person replaced before the predictor was free, or the end.
-        refused: messages that were no frame, or not wanted.
-        difference: this machine's clock less the source's [s]; None where they are one.
-        clock_jumps: how often the source's clock was set.
-        clients: how many are connected, or send datagrams, now.
-        fused: whether what comes goes into another feed, of several cameras.
-        last: when the newest frame came [s], on `time.monotonic`; None before.
-        ended: no frame will come any more.
-    """
+    """One source's way in, and what is counted of it."""
 
     def __init__(self, name: str, mailbox: Mailbox) -> None:
         self.name = name
-        self.received = self.superseded = self.refused = self.clock_jumps = self.clients = 0
-        self.difference: float | None = None
-        self.last: float | None = None
-        self.ended = self.fused = False
+        self.received = 0  # frames that came
+        self.superseded = 0  # frames that a newer one of the same person replaced, or that the end left
+        self.refused = 0  # messages that were no frame, or not wanted
+        self.clock_jumps = 0  # how often the source's clock was set
+        self.clients = 0  # how many are connected, or send datagrams, now
+        self.difference: float | None = None  # this machine's clock less the source's [s]; None where they are one
+        self.last: float | None = None  # when the newest frame came [s], on `time.monotonic`
+        self.ended = False  # no frame will come any more
+        self.fused = False  # what comes goes into another feed, of several cameras
         self._mailbox = mailbox
-        self._said = 0
-        self._quiet_until = -1.0
+        self._logged = 0
+        self._quiet_until = 0.0
 
     def put(self, frame: SkeletonFrame, acquired: float, pace: float = 1.0) -> None:
         """Takes in a frame; see `Arrival`."""
@@ -127,11 +111,10 @@ class Feed:
         self.refused += 1
         now = time.monotonic()
         if now >= self._quiet_until:
-            more = self.refused - self._said - 1
+            more = self.refused - self._logged - 1
             log.warning("%s: %s%s", self.name, problem, f" (and {more} more refused before)" if more else "")
-            self._said, self._quiet_until = self.refused, now + QUIET
+            self._logged, self._quiet_until = self.refused, now + QUIET
 
     def end(self) -> None:
         """Says that no frame will come any more."""
-        self.ended = True
-        self._mailbox.wake()
+        self._mailbox.end(self)

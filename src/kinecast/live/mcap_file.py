@@ -1,14 +1,17 @@
-"""Recordings as MCAP files: a message and a drawing for each frame, and what belongs to the whole as metadata."""
+"""MCAP files: predictions as they come, and recordings; each message of docs/live.md with a drawing for Foxglove."""
 
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import lz4.frame
+import msgspec
 import zstandard
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -19,27 +22,62 @@ from kinecast.datasets.compressed import STREAM_LIMIT, WHOLE_LIMIT
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.table import Description, describe
 from kinecast.errors import DatasetError
-from kinecast.live.foxglove import SCENE_UPDATE, skeleton_update
-from kinecast.live.mcap import PREDICTIONS, SCENE
+from kinecast.live.foxglove import scene_update, skeleton_update
 from kinecast.live.message_file import labelled_frames, message, recordings_of
+from kinecast.live.publication import Publication
+from kinecast.live.sinks import FileSink
 
-__all__ = ["SKELETONS", "load", "write"]
-
-SKELETONS = "/kinecast/skeletons"
-"""Topic of the frames."""
+PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"
+"""Topics."""
+_SCHEMAS = {PREDICTIONS: "kinecast.Prediction", SKELETONS: "kinecast.Skeleton", SCENE: "foxglove.SceneUpdate"}
 METADATA, RECORDINGS = "kinecast", "recordings"
 LATEST = 2**63 - 1
 """Latest time that a reader in another language can hold [ns]."""
 
 
-def _schema() -> dict[str, Any]:
-    number: dict[str, Any] = {"type": ["number", "null"]}
-    rows = {"type": "array", "items": {"type": "array", "items": number}}
-    fields = {
-        "stamp": {"type": "number"}, "person": {"type": "string"}, "positions": rows,
-        "joints": {"type": "array", "items": {"type": "string"}}, "label": {"type": "string"},
-    }  # fmt: skip
-    return {"title": "kinecast.Skeleton", "type": "object", "properties": fields}
+def schema(name: str) -> dict[str, Any]:
+    """A JSON schema that comes with kinecast.
+
+    `foxglove.SceneUpdate` is without what is in arrows, cubes, triangles and models: they stay empty.
+    """
+    found: dict[str, Any] = json.loads((files("kinecast") / "data" / "schemas" / f"{name}.json").read_text("utf-8"))
+    return found
+
+
+class _JsonWriter:
+    """Writes JSON messages on two topics: what is said, and the drawing of it."""
+
+    def __init__(self, file: IO[bytes], topic: str) -> None:
+        self.mcap = Writer(file, compression=CompressionType.LZ4)
+        self.mcap.start(profile="", library=f"kinecast {__version__}")
+        self._channels = []
+        for each in (topic, SCENE):
+            content = json.dumps(schema(_SCHEMAS[each])).encode()
+            registered = self.mcap.register_schema(_SCHEMAS[each], "jsonschema", content)
+            self._channels.append(self.mcap.register_channel(each, "json", registered))
+
+    def add(self, content: bytes, drawing: dict[str, Any], logged: int, published: int, sequence: int = 0) -> None:
+        for channel, data in zip(self._channels, (content, msgspec.json.encode(drawing)), strict=True):
+            self.mcap.add_message(channel, logged, data, published, sequence)
+
+    def finish(self) -> None:
+        self.mcap.finish()  # type: ignore[no-untyped-call]
+
+
+class McapSink(FileSink):
+    """Writes predictions; a log time is when the frame was acquired, a publish time when the message was written."""
+
+    def begin(self) -> None:
+        self._unix_less_monotonic = time.time() - time.monotonic()
+        self._writer = _JsonWriter(self.file, PREDICTIONS)
+
+    def write(self, publication: Publication) -> None:
+        acquired = publication.acquired + self._unix_less_monotonic
+        drawing = scene_update(publication, acquired)
+        self._writer.add(publication.json, drawing, int(acquired * 1e9), time.time_ns(), publication.number)
+
+    def finish(self) -> None:
+        self._writer.finish()
 
 
 def write(path: Path, recordings: Sequence[Recording]) -> None:
@@ -51,25 +89,13 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
         OSError: the file cannot be written.
     """
     with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.LZ4)
-        writer.start(profile="", library=f"kinecast {__version__}")
+        writer = _JsonWriter(file, SKELETONS)
         described = json.dumps([asdict(describe(recording)) for recording in recordings])
-        writer.add_metadata(METADATA, {RECORDINGS: described})
-        skeletons, scene = (
-            writer.register_channel(
-                topic, "json", writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
-            )
-            for topic, name, schema in (
-                (SKELETONS, "kinecast.Skeleton", _schema()),
-                (SCENE, "foxglove.SceneUpdate", SCENE_UPDATE),
-            )
-        )
+        writer.mcap.add_metadata(METADATA, {RECORDINGS: described})
         for frame, label in labelled_frames(recordings):
-            time = min(max(int(frame.stamp * 1e9), 0), LATEST)
-            drawn = json.dumps(skeleton_update(frame, time / 1e9)).encode()
-            for channel, content in ((skeletons, message(frame, label)), (scene, drawn)):
-                writer.add_message(channel, log_time=time, data=content, publish_time=time)
-        writer.finish()  # type: ignore[no-untyped-call]
+            logged = min(max(int(frame.stamp * 1e9), 0), LATEST)
+            writer.add(message(frame, label), skeleton_update(frame, logged / 1e9), logged, logged)
+        writer.finish()
 
 
 def load(path: Path) -> list[Recording]:
@@ -80,11 +106,11 @@ def load(path: Path) -> list[Recording]:
     """
     messages: list[tuple[str, bytes]] = []
     descriptions: list[Description] = []
+    channels: dict[int, str] = {}
+    held = 0
     try:
         if path.stat().st_size > STREAM_LIMIT:
             raise DatasetError(path, f"larger than the limit of {STREAM_LIMIT >> 20} MiB")
-        channels: dict[int, str] = {}
-        held = 0
         for record in _records(path):
             if isinstance(record, Channel):
                 channels[record.id] = record.topic if record.message_encoding == "json" else ""

@@ -4,37 +4,21 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import JOINTS, SKELETONS, Skeleton, require_arms
-from kinecast.errors import DatasetError, MissingExtraError
+from kinecast.errors import DatasetError
 from kinecast.live.detection import Detection
 from kinecast.types import SkeletonFrame
-
-try:
-    import msgspec
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("live streams", "live") from error
-
-__all__ = [
-    "FARTHEST",
-    "LARGEST_MESSAGE",
-    "LATEST_STAMP",
-    "LONGEST_NAME",
-    "MOST_JOINTS",
-    "MessageError",
-    "SkeletonMessage",
-    "decode",
-    "skeleton_frame",
-]
 
 LARGEST_MESSAGE = 65_536
 """Bytes of one message; 33 joints as JSON take about 3000."""
 MOST_JOINTS = 128
 LONGEST_NAME = 64
 """Characters of a joint's, person's or coordinate frame's name."""
-LONGEST_WORDS = 200
+LONGEST_QUOTE = 200
 """Characters of what a message is quoted with in the log."""
 LATEST_STAMP = 1e11
 """Largest believable stamp [s]: Unix time in seconds is 1.8e9, in milliseconds 1.8e12, in nanoseconds 1.8e18."""
@@ -90,11 +74,16 @@ def decode(content: bytes | str) -> SkeletonFrame | Detection:
         message = (_JSON if raw[:64].lstrip()[:1] == b"{" else _MSGPACK).decode(raw)
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
         raise MessageError(_short(str(error) or type(error).__name__)) from None
+    return person_of(message)
+
+
+def person_of(message: SkeletonMessage) -> SkeletonFrame | Detection:
+    """The person whom a message's fields describe; see `decode`."""
     if not abs(message.stamp) <= LATEST_STAMP:
         raise MessageError(f"stamp {message.stamp:g} is no time in seconds")
     if (message.positions is None) == (message.pixels is None):
         raise MessageError("expected either positions or pixels")
-    return _view(message, message.pixels) if message.pixels is not None else skeleton_frame(message)
+    return skeleton_frame(message) if message.pixels is None else _view(message, message.pixels)
 
 
 def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
@@ -103,60 +92,59 @@ def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
     Raises:
         MessageError: they describe none.
     """
-    positions = message.positions or []
-    rows = len(positions)
-    if rows > MOST_JOINTS:
-        raise MessageError(f"{rows} positions, at most {MOST_JOINTS} are taken")
-    columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), rows)
-    if message.std is not None and len(message.std) != rows:
-        raise MessageError(f"{len(message.std)} std for {rows} positions")
-    std = None if message.std is None else _numbers(message.std)[list(columns)]
+    rows = message.positions or []
+    columns, joints = _columns(message, len(rows), "positions")
+    if any(len(rows[column]) != 3 for column in columns):
+        raise MessageError("a position is not three numbers")
+    positions = np.array([rows[column] for column in columns], dtype=np.float64)  # None is NaN
+    farthest = np.abs(positions).max(initial=0.0, where=np.isfinite(positions))
+    if farthest > FARTHEST:
+        raise MessageError(f"a position is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
+    positions[~np.isfinite(positions).all(axis=1)] = np.nan
+    std = None if message.std is None else _of_each(message, "std", len(rows), "positions")[list(columns)]
     if std is not None and (std < 0).any():
         raise MessageError("std is below 0")
-    return SkeletonFrame(
-        float(message.stamp),
-        joints,
-        _positions([positions[column] for column in columns]),
-        _name(str(message.person), "person"),
-        _name(message.frame_id, "frame_id"),
-        std,
-    )
+    person, frame_id = _name(str(message.person), "person"), _name(message.frame_id, "frame_id")
+    return SkeletonFrame(float(message.stamp), joints, positions, person, frame_id, std)
 
 
 def _view(message: SkeletonMessage, rows: list[list[float | None] | None]) -> Detection:
-    if len(rows) > MOST_JOINTS:
-        raise MessageError(f"{len(rows)} pixels, at most {MOST_JOINTS} are taken")
-    columns, joints = _columns(message.skeleton, None if message.joints is None else tuple(message.joints), len(rows))
+    columns, joints = _columns(message, len(rows), "pixels")
     if any(row is not None and len(row) != 2 for row in rows):
         raise MessageError("a pixel is not two numbers")
-    pixels = _numbers([value for row in rows for value in row or (None, None)]).reshape(-1, 2)
+    pixels = np.array([row or (None, None) for row in rows], dtype=np.float64)
+    each = {
+        name: _of_each(message, name, len(rows), "pixels", missing)[list(columns)]
+        for name, missing in (("pixel_std", np.nan), ("depth", np.nan), ("depth_std", np.nan), ("confidence", 1.0))
+    }
+    camera = _name(message.camera, "camera") if message.camera else ""
+    person = _name(str(message.person), "person")
+    return Detection(float(message.stamp), camera, joints, pixels[list(columns)], **each, person=person)
 
-    def each(name: str, missing: float) -> Float[np.ndarray, " J"]:
-        values: list[float | None] | None = getattr(message, name)
-        if values is not None and len(values) != len(rows):
-            raise MessageError(f"{len(values)} {name} for {len(rows)} pixels")
-        return np.full(len(columns), missing) if values is None else _numbers(values)[list(columns)]
 
-    return Detection(
-        float(message.stamp),
-        _name(message.camera, "camera") if message.camera else "",
-        joints,
-        pixels[list(columns)],
-        each("pixel_std", np.nan),
-        each("depth", np.nan),
-        each("depth_std", np.nan),
-        each("confidence", 1.0),
-        _name(str(message.person), "person"),
-    )
+def _of_each(
+    message: SkeletonMessage, name: str, rows: int, of: str, missing: float = np.nan
+) -> Float[np.ndarray, " N"]:
+    """A field with one number for each row; null is NaN, and all are `missing` without the field."""
+    values: list[float | None] | None = getattr(message, name)
+    if values is None:
+        return np.full(rows, missing)
+    if len(values) != rows:
+        raise MessageError(f"{len(values)} {name} for {rows} {of}")
+    return np.array(values, dtype=np.float64)
+
+
+def _columns(message: SkeletonMessage, rows: int, of: str) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Which rows are used, and the canonical names of their joints."""
+    if rows > MOST_JOINTS:
+        raise MessageError(f"{rows} {of}, at most {MOST_JOINTS} are taken")
+    return _known_columns(message.skeleton, None if message.joints is None else tuple(message.joints), rows)
 
 
 @lru_cache(maxsize=64)
-def _columns(skeleton: str | None, names: tuple[str, ...] | None, rows: int) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """Which positions are used, and the canonical names of their joints.
-
-    Raises:
-        MessageError: a skeleton that is unknown, names that do not fit, or an arm joint that is not among them.
-    """
+def _known_columns(
+    skeleton: str | None, names: tuple[str, ...] | None, rows: int
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
     if skeleton is not None and skeleton not in _SKELETONS:
         raise MessageError(f"skeleton {_short(skeleton)!r} is unknown; known are {', '.join(_SKELETONS)}")
     known = _CANONICAL if skeleton is None else _SKELETONS[skeleton]
@@ -176,22 +164,6 @@ def _columns(skeleton: str | None, names: tuple[str, ...] | None, rows: int) -> 
     return columns, joints
 
 
-def _positions(rows: list[list[float | None]]) -> Float[np.ndarray, "J 3"]:
-    if any(len(row) != 3 for row in rows):
-        raise MessageError("a position is not three numbers")
-    positions = _numbers([value for row in rows for value in row]).reshape(-1, 3)
-    farthest = np.abs(positions).max(initial=0.0, where=np.isfinite(positions))
-    if farthest > FARTHEST:
-        raise MessageError(f"a position is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
-    positions[~np.isfinite(positions).all(axis=1)] = np.nan
-    return positions
-
-
-def _numbers(values: list[float | None]) -> Float[np.ndarray, " N"]:
-    """None as NaN."""
-    return np.array(values, dtype=np.float64)
-
-
 def _name(text: str, what: str) -> str:
     if not 0 < len(text) <= LONGEST_NAME or not text.isprintable():
         raise MessageError(f"{what} {_short(text)!r}: 1 to {LONGEST_NAME} printable characters are taken")
@@ -200,5 +172,5 @@ def _name(text: str, what: str) -> str:
 
 def _short(text: str) -> str:
     """Fit for a line in a log, whatever was sent."""
-    line = "".join(letter if letter.isprintable() else "?" for letter in text[:LONGEST_WORDS])
-    return line if len(text) <= LONGEST_WORDS else f"{line}…"
+    line = "".join(letter if letter.isprintable() else "?" for letter in text[:LONGEST_QUOTE])
+    return line if len(text) <= LONGEST_QUOTE else f"{line}…"

@@ -1,4 +1,4 @@
-"""Skeletons from a WebSocket or UDP, and the thread in which everything that talks to a network runs."""
+"""The thread in which everything that talks to a network runs, addresses, and WebSocket servers."""
 
 from __future__ import annotations
 
@@ -6,62 +6,33 @@ import asyncio
 import logging
 import re
 import threading
-import time
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from kinecast.errors import MissingExtraError, OptionError
-from kinecast.live.admission import Admission
-from kinecast.live.mailbox import Feed
-from kinecast.live.message import LARGEST_MESSAGE
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.typing import Origin
 
-try:
-    from websockets.asyncio.server import Server, ServerConnection, serve
-    from websockets.exceptions import ConnectionClosed
-    from websockets.typing import Origin
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("live streams", "live") from error
-
-__all__ = [
-    "MOST_CLIENTS",
-    "TRY_LATER",
-    "Address",
-    "Network",
-    "UdpSource",
-    "WebSocketSource",
-    "closed",
-    "listen",
-    "opened",
-    "port_of",
-]
+from kinecast.errors import OptionError
 
 LOOPBACK = "127.0.0.1"
 MOST_CLIENTS = 16
 """WebSocket clients of one source or sink."""
-TOO_BIG, TRY_LATER = 1009, 1013
-"""Close codes of RFC 6455."""
-OWN_PAGES: list[Origin | re.Pattern[str] | None] = [
-    None,
-    re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"),
-]
+TRY_LATER = 1013
+"""Close code of RFC 6455."""
+_LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+OWN_PAGES: list[Origin | re.Pattern[str] | None] = [None, _LOCAL]
 """Programs, and web pages served by this machine: any other page open in a browser here must not listen or lie."""
-CLOSING = 2.0
-"""Seconds that a client has to say goodbye."""
+GOODBYE, CLOSING = 2.0, 5.0
+"""Seconds that a client has to say goodbye, and that closing takes at the most."""
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where to listen.
-
-    Attributes:
-        scheme: "ws", "udp" or "xsens".
-        host: a name or address of this machine.
-        port: 0 is any that is free.
-    """
+    """Where to listen: a host of this machine, and a port, where 0 is any that is free."""
 
     scheme: str
     host: str
@@ -69,11 +40,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str, default: int | None = None) -> Address:
-        """From `SCHEME://HOST:PORT`; without a host it is the loopback.
-
-        Args:
-            text: the address.
-            default: the port where none is given; None where it must be.
+        """From `SCHEME://HOST:PORT`; without a host it is the loopback, without a port the default, if there is one.
 
         Raises:
             OptionError: it is no such address.
@@ -100,165 +67,80 @@ class Network:
         self._thread = threading.Thread(target=self._loop.run_forever, name="network", daemon=True)
         self._thread.start()
 
-    def run(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
-        """Runs it in the loop and waits for what it gives."""
-        return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result()
+    def open(self, address: Address, opening: Coroutine[Any, Any, _T]) -> _T:
+        """What `opening` gives, run in the loop; an OptionError where nothing can listen at the address."""
+        try:
+            return asyncio.run_coroutine_threadsafe(opening, self._loop).result()
+        except (OSError, UnicodeError, OverflowError) as error:
+            why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise OptionError(f"{address}: nothing can listen there ({why})") from None
 
     def soon(self, call: Callable[[], object]) -> None:
         """Has the loop call it; does not wait."""
         self._loop.call_soon_threadsafe(call)
 
+    def finish(self, ending: Coroutine[Any, Any, object]) -> None:
+        """Runs the last of something in the loop; gives up after `CLOSING` seconds."""
+        future = asyncio.run_coroutine_threadsafe(ending, self._loop)
+        try:
+            future.result(CLOSING)
+        except TimeoutError:
+            future.cancel()
+
     def close(self) -> None:
         """Ends the loop; close who uses it first."""
-        self.run(_last_tasks())
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
+        self.finish(_cancel_others())
+        self.soon(self._loop.stop)
+        self._thread.join(CLOSING)
+        if not self._thread.is_alive():
+            self._loop.close()
 
 
-async def _last_tasks() -> None:
+async def _cancel_others() -> None:
     others = asyncio.all_tasks() - {asyncio.current_task()}
     for task in others:
         task.cancel()
     await asyncio.gather(*others, return_exceptions=True)
 
 
-async def listen(address: Address, handler: Callable[[ServerConnection], Awaitable[None]], largest: int) -> Server:
-    """A WebSocket server with the limits of every source and sink.
+class WebSocketServer:
+    """A WebSocket server with the limits of every source and sink, at its address at once, or an OptionError.
 
     Args:
-        address: where.
+        address: where; with port 0 the attribute has the one it really listens at.
+        network: that it runs in.
         handler: called for every client.
         largest: bytes of a message; a client that sends more is disconnected.
-
-    Raises:
-        OSError: nothing can listen there.
-    """
-    quiet = logging.getLogger("kinecast.websockets")  # what clients do wrong is counted, not traced
-    quiet.setLevel(logging.CRITICAL)
-    return await serve(
-        handler,
-        address.host,
-        address.port,
-        origins=OWN_PAGES,
-        compression=None,  # 10 MB of zeros in 10 kB, and time
-        server_header=None,
-        max_size=largest,
-        close_timeout=CLOSING,
-        logger=quiet,
-    )
-
-
-def opened(address: Address, opening: Callable[[], _T]) -> _T:
-    """What `opening` gives.
-
-    Raises:
-        OptionError: nothing can listen at the address.
-    """
-    try:
-        return opening()
-    except (OSError, UnicodeError, OverflowError) as error:
-        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise OptionError(f"{address}: nothing can listen there ({why})") from None
-
-
-class _Listener:
-    """What both sources share: frames pass `Admission` on their way to a feed.
-
-    Args:
-        feed: where frames go.
-        network: that it runs in.
-        admission: takes what comes.
     """
 
-    def __init__(self, feed: Feed, network: Network, admission: Admission) -> None:
-        self._feed = feed
+    def __init__(
+        self, address: Address, network: Network, handler: Callable[[ServerConnection], Awaitable[None]], largest: int
+    ) -> None:
+        async def opening() -> Server:
+            quiet = logging.getLogger("kinecast.websockets")  # what clients do wrong is counted, not traced
+            quiet.setLevel(logging.CRITICAL)
+            return await serve(
+                handler,
+                address.host,
+                address.port,
+                origins=OWN_PAGES,
+                compression=None,  # 10 MB of zeros in 10 kB, and time
+                server_header=None,
+                max_size=largest,
+                close_timeout=GOODBYE,
+                logger=quiet,
+            )
+
         self._network = network
-        self._admission = admission
-
-    def start(self) -> None:
-        """Nothing: it listens from the beginning, and the mailbox keeps the newest."""
-
-
-class WebSocketSource(_Listener):
-    """A WebSocket server that clients send skeletons to, one a message.
-
-    Args:
-        address: where it listens, at once.
-        feed: where frames go.
-        network: that it runs in.
-        admission: takes the messages; None for skeletons in the world.
-
-    Raises:
-        OptionError: nothing can listen there.
-    """
-
-    def __init__(self, address: Address, feed: Feed, network: Network, admission: Admission | None = None) -> None:
-        super().__init__(feed, network, admission or Admission(feed))
-        self._server = opened(address, lambda: network.run(listen(address, self._receive, LARGEST_MESSAGE)))
-        self.address = feed.name = str(Address(address.scheme, address.host, port_of(self._server)))
+        self._server = network.open(address, opening())
+        port = int(next(iter(self._server.sockets)).getsockname()[1])
+        self.address = str(Address(address.scheme, address.host, port))
 
     def close(self) -> None:
         """Says goodbye to clients and stops listening."""
-        self._network.run(closed(self._server))
 
-    async def _receive(self, connection: ServerConnection) -> None:
-        if self._feed.clients >= MOST_CLIENTS:
-            self._feed.refuse(f"more than {MOST_CLIENTS} clients")
-            await connection.close(TRY_LATER, "too many clients")
-            return
-        self._feed.clients += 1
-        try:
-            async for content in connection:
-                self._admission.take(content, connection.id, time.monotonic())
-        except ConnectionClosed as end:
-            if end.sent is not None and end.sent.code == TOO_BIG:
-                self._feed.refuse(f"a message above {LARGEST_MESSAGE} bytes; its client is disconnected")
-        finally:
-            self._feed.clients -= 1
-            self._admission.leave(connection.id)
+        async def closing() -> None:
+            self._server.close()
+            await self._server.wait_closed()
 
-
-class UdpSource(_Listener, asyncio.DatagramProtocol):
-    """A UDP port that skeletons are sent to.
-
-    Args:
-        address: where it listens, at once.
-        feed: where frames go.
-        network: that it runs in.
-        admission: takes the datagrams; None for one skeleton in each, as a message.
-
-    Raises:
-        OptionError: nothing can listen there.
-    """
-
-    def __init__(self, address: Address, feed: Feed, network: Network, admission: Admission | None = None) -> None:
-        super().__init__(feed, network, admission or Admission(feed))
-        self._transport = opened(address, lambda: network.run(self._bind(address)))
-        port = self._transport.get_extra_info("sockname")[1]
-        self.address = feed.name = str(Address(address.scheme, address.host, port))
-
-    def close(self) -> None:
-        """Stops listening."""
-        self._network.soon(self._transport.close)
-
-    def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
-        """Called by asyncio."""
-        self._admission.take(data, addr, time.monotonic())
-        self._feed.clients = self._admission.senders
-
-    async def _bind(self, address: Address) -> asyncio.DatagramTransport:
-        loop = asyncio.get_running_loop()
-        transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(address.host, address.port))
-        return transport
-
-
-def port_of(server: Server) -> int:
-    """The port it really listens at."""
-    return int(next(iter(server.sockets)).getsockname()[1])
-
-
-async def closed(server: Server) -> None:
-    """Closes a server and its connections."""
-    server.close()
-    await server.wait_closed()
+        self._network.finish(closing())

@@ -1,4 +1,4 @@
-"""What goes out for each frame, and its message: the schema is in docs/live.md."""
+"""What goes out for each frame, and its message: the schema is in docs/live.md and data/schemas."""
 
 from __future__ import annotations
 
@@ -12,37 +12,23 @@ import numpy as np
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
-__all__ = ["SCHEMA", "Publication", "arms_of", "colour_of"]
-
 _GREEN, _AMBER, _RED = (0.25, 0.75, 0.35), (0.95, 0.65, 0.15), (0.9, 0.2, 0.2)
 UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
 """Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
 TENTH_OF_MILLIMETRE = 4
 """Decimals of a position in metres; twice as many for a variance."""
 
-_JSON = msgspec.json.Encoder()
-_MSGPACK = msgspec.msgpack.Encoder()
-
 
 @dataclass(frozen=True)
 class Publication:
-    """A prediction, with what it rests on; samples and density are left behind, so that waiting ones stay small.
+    """A prediction, with what it rests on; samples and density are left behind, so that waiting ones stay small."""
 
-    Attributes:
-        number: counts publications from 1.
-        source: name of the source.
-        frame: the frame it rests on.
-        prediction: without samples and density.
-        tubes: of the prediction.
-        acquired: when the frame was taken [s], on `time.monotonic`.
-    """
-
-    number: int
+    number: int  # counts publications from 1
     source: str
-    frame: SkeletonFrame
-    prediction: Prediction
+    frame: SkeletonFrame  # that it rests on
+    prediction: Prediction  # without samples and density
     tubes: Tubes
-    acquired: float
+    acquired: float  # when the frame was taken [s], on `time.monotonic`
 
     @classmethod
     def of(
@@ -61,6 +47,7 @@ class Publication:
     def message(self) -> dict[str, Any]:
         """As in docs/live.md; NaN where nothing is known, which JSON has as null."""
         prediction, tubes = self.prediction, self.tubes
+        covariance = prediction.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
         return {
             "kind": "prediction",
             "version": 1,
@@ -75,9 +62,7 @@ class Publication:
             "observed": _metres(arms_of(self.frame)),
             "times": np.round(prediction.times, 6).tolist(),
             "mean": _metres(prediction.mean),
-            "covariance": np.round(
-                prediction.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]], 2 * TENTH_OF_MILLIMETRE
-            ).tolist(),
+            "covariance": np.round(covariance, 2 * TENTH_OF_MILLIMETRE).tolist(),
             "tubes": {
                 "level": tubes.level,
                 "start": _metres(tubes.start),
@@ -90,12 +75,12 @@ class Publication:
     @cached_property
     def json(self) -> bytes:
         """The message as JSON."""
-        return _JSON.encode(self.message)
+        return msgspec.json.encode(self.message)
 
     @cached_property
     def msgpack(self) -> bytes:
         """The message as msgpack."""
-        return _MSGPACK.encode(self.message)
+        return msgspec.msgpack.encode(self.message)
 
 
 def colour_of(status: Status) -> tuple[float, float, float]:
@@ -116,24 +101,3 @@ def arms_of(frame: SkeletonFrame) -> np.ndarray:
 
 def _metres(values: np.ndarray) -> Any:
     return np.round(values, TENTH_OF_MILLIMETRE).tolist()
-
-
-def _schema() -> dict[str, Any]:
-    number: dict[str, Any] = {"type": ["number", "null"]}
-    row = {"type": "array", "items": number}
-    rows = {"type": "array", "items": row}
-    grid = {"type": "array", "items": rows}
-    text, whole = {"type": "string"}, {"type": "integer"}
-    tubes = {"level": number, "start": grid, "end": grid, "radius": rows}
-    fields = {
-        "kind": text, "version": whole, "number": whole, "source": text, "person": text, "frame_id": text,
-        "stamp": number, "status": text, "advice": text, "joints": {"type": "array", "items": text}, "observed": rows,
-        "times": row, "mean": grid, "covariance": grid,
-        "tubes": {"type": "object", "properties": tubes, "required": list(tubes)},
-        "goals": {"type": "object", "additionalProperties": {"type": "object", "additionalProperties": number}},
-    }  # fmt: skip
-    return {"title": "kinecast.Prediction", "type": "object", "properties": fields, "required": list(fields)}
-
-
-SCHEMA = _schema()
-"""JSON schema of the message."""

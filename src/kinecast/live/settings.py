@@ -4,23 +4,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from urllib.parse import parse_qsl
 
 from kinecast.errors import OptionError
 
-__all__ = ["number", "whole_number"]
+
+def settings_of(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]:
+    """The settings in the query of a SOURCE or SINK, `name=value` with `&` between them.
+
+    Raises:
+        OptionError: one has a name that is not allowed.
+    """
+    found = dict(parse_qsl(query, keep_blank_values=True))
+    unknown = sorted(set(found) - set(allowed))
+    if unknown or (query and not found):
+        raise OptionError(f"{text}: {', '.join(unknown) or query} unknown; allowed are {', '.join(allowed) or 'none'}")
+    return found
+
+
+def choice(settings: Mapping[str, str], name: str, allowed: tuple[str, ...], text: str) -> str | None:
+    """One of the settings, None where it is not given.
+
+    Raises:
+        OptionError: it is none of those allowed.
+    """
+    value = settings.get(name)
+    if value not in (None, *allowed):
+        raise OptionError(f"{text}: {name} {value!r}, allowed are {', '.join(allowed)}")
+    return value
 
 
 def number(
     settings: Mapping[str, str], name: str, default: float, text: str, low: float = -math.inf, high: float = math.inf
 ) -> float:
-    """One of the settings.
-
-    Args:
-        settings: those given.
-        name: of this one.
-        default: where it is not given.
-        text: the SOURCE or SINK, for messages.
-        low, high: least and largest allowed; where there are none, whoever takes the number checks it.
+    """One of the settings, as a number; without a range, whoever takes it checks that.
 
     Raises:
         OptionError: it is no number, or outside its range.
@@ -37,11 +54,7 @@ def number(
 def whole_number(
     settings: Mapping[str, str], name: str, default: int, text: str, low: float = -math.inf, high: float = math.inf
 ) -> int:
-    """See `number`.
-
-    Raises:
-        OptionError: it is no whole number, or outside its range.
-    """
+    """See `number`; a fraction is an OptionError too."""
     value = number(settings, name, float(default), text, low, high)
     if not value.is_integer():
         raise OptionError(f"{text}: {name} {settings[name]!r} is no whole number")

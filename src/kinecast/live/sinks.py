@@ -8,105 +8,150 @@ import time
 from pathlib import Path
 from typing import IO, Protocol, runtime_checkable
 
-from kinecast.live.attempts import Attempts
-from kinecast.live.publication import Publication
-from kinecast.live.tally import Tally
+from websockets.asyncio.server import ServerConnection, broadcast
+from websockets.exceptions import ConnectionClosed
 
-__all__ = ["FileSink", "JsonlSink", "Sink"]
+from kinecast.live.counters import SinkCounters
+from kinecast.live.network import CLOSING, MOST_CLIENTS, TRY_LATER, Address, Network, WebSocketServer
+from kinecast.live.publication import Publication
 
 MOST_WAITING = 100
 """Publications that wait for a disc; more are dropped and counted."""
+MOST_UNSENT = 256 * 1024
+"""Bytes that may wait for one client; while there are more, it misses what is published."""
+LARGEST_REQUEST = 1024
+"""Clients have nothing to say here; what they say is passed over."""
+LOOK = 0.1
+"""Longest wait for a publication before looking whether to end [s]."""
 
 
 @runtime_checkable
 class Sink(Protocol):
-    """Takes publications.
-
-    Attributes:
-        address: where they go, for messages.
-        tally: what was sent and dropped.
-    """
+    """Takes publications; `address` says where they go, in messages."""
 
     address: str
-    tally: Tally
+    counters: SinkCounters
 
-    @property
-    def failure(self) -> str | None:
-        """Why it has stopped, or None."""
-        ...
+    def publish(self, publication: Publication) -> None: ...  # neither waits nor raises
 
-    def publish(self, publication: Publication) -> None:
-        """Takes one; neither waits nor raises."""
-        ...
-
-    def close(self) -> None:
-        """Sends or writes what it has taken, and ends."""
-        ...
+    def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
 class FileSink:
-    """A file that is written in a thread of its own.
-
-    Args:
-        path: of the file; one that is there is replaced.
-
-    Raises:
-        OSError: it cannot be opened.
-    """
+    """A file that is written in a thread of its own; one that is at the path is replaced, or an OSError raised."""
 
     def __init__(self, path: Path) -> None:
         self.address = str(path)
-        self.tally = Tally()
-        self._attempts = Attempts(self.address, "written", OSError)
-        self._file: IO[bytes] = path.open("wb")
-        self._waiting: queue.Queue[Publication | None] = queue.Queue(MOST_WAITING)
-        self.begin(self._file)
+        self.counters = SinkCounters(self.address, "written", OSError)
+        self.file: IO[bytes] = path.open("wb")
+        self._waiting: queue.Queue[Publication] = queue.Queue(MOST_WAITING)
+        self._closing = threading.Event()
+        self.begin()
         self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
         self._thread.start()
 
-    def begin(self, file: IO[bytes]) -> None:
+    def begin(self) -> None:
         """Writes what comes first."""
 
-    def write(self, file: IO[bytes], publication: Publication) -> None:
+    def write(self, publication: Publication) -> None:
         """Writes one."""
         raise NotImplementedError
 
-    def finish(self, file: IO[bytes]) -> None:
+    def finish(self) -> None:
         """Writes what comes last."""
 
-    @property
-    def failure(self) -> str | None:
-        """See Sink."""
-        return self._attempts.failure
-
     def publish(self, publication: Publication) -> None:
-        """See Sink."""
         try:
             self._waiting.put_nowait(publication)
         except queue.Full:
-            self.tally.dropped += 1
+            self.counters.drop()
 
     def close(self) -> None:
-        """See Sink."""
-        self._waiting.put(None)
-        self._thread.join()
+        self._closing.set()
+        self._thread.join(CLOSING)
+        if self._thread.is_alive():
+            self.counters.drop(self._waiting.qsize())
+            self.counters.fail(TimeoutError(f"still writing after {CLOSING:g} s"))
 
     def _run(self) -> None:
-        while (publication := self._waiting.get()) is not None:
-            if self._attempts.succeeds(self.write, self._file, publication):
-                self.tally.sent(time.monotonic() - publication.acquired)
+        while not (self._closing.is_set() and self._waiting.empty()):
+            try:
+                publication = self._waiting.get(timeout=LOOK)
+            except queue.Empty:
+                continue
+            if self.counters.attempt(self.write, publication):
+                self.counters.sent(time.monotonic() - publication.acquired)
             else:
-                self.tally.dropped += 1
-        self._attempts.succeeds(self.finish, self._file)
+                self.counters.drop()
+        self.counters.attempt(self.finish)
         try:
-            self._file.close()
+            self.file.close()
         except OSError as error:
-            self._attempts.fail(error)
+            self.counters.fail(error)
 
 
 class JsonlSink(FileSink):
     """A line of JSON for each prediction (docs/live.md)."""
 
-    def write(self, file: IO[bytes], publication: Publication) -> None:
-        """See FileSink."""
-        file.write(publication.json + b"\n")
+    def write(self, publication: Publication) -> None:
+        self.file.write(publication.json + b"\n")
+
+
+class WebSocketSink:
+    """Sends every client each prediction (docs/live.md), as JSON text or binary msgpack, and waits for none of them."""
+
+    def __init__(self, address: Address, network: Network, msgpack: bool = False) -> None:
+        self._network = network
+        self._msgpack = msgpack
+        self._clients: set[ServerConnection] = set()
+        self._newest: dict[tuple[str, str], Publication] = {}
+        self._lock = threading.Lock()
+        self._server = WebSocketServer(address, network, self._attend, LARGEST_REQUEST)
+        self.address = self._server.address
+        self.counters = SinkCounters(self.address, "sent")
+
+    @property
+    def unsent(self) -> list[int]:
+        """Bytes that wait for each client."""
+        return [client.transport.get_write_buffer_size() for client in self._clients]
+
+    def publish(self, publication: Publication) -> None:
+        """See Sink; one that a newer of the same person replaces before it is sent counts as dropped."""
+        with self._lock:
+            due = not self._newest
+            self.counters.drop(publication.key in self._newest)
+            self._newest[publication.key] = publication
+        if due:
+            self._network.soon(self._send)
+
+    def close(self) -> None:
+        self._server.close()
+
+    def _send(self) -> None:
+        with self._lock:
+            newest, self._newest = self._newest, {}
+        for publication in newest.values():
+            if not self.counters.attempt(self._broadcast, publication):
+                self.counters.drop()
+
+    def _broadcast(self, publication: Publication) -> None:
+        if self._clients:
+            content = publication.msgpack if self._msgpack else publication.json
+            ready = [client for client in self._clients if client.transport.get_write_buffer_size() <= MOST_UNSENT]
+            self.counters.drop(len(self._clients) - len(ready))
+            broadcast(ready, content, text=not self._msgpack)
+            if ready:
+                self.counters.sent(time.monotonic() - publication.acquired)
+
+    async def _attend(self, client: ServerConnection) -> None:
+        if len(self._clients) >= MOST_CLIENTS:
+            await client.close(TRY_LATER, "too many clients")
+            return
+        self._clients.add(client)
+        try:
+            async for _ in client:
+                pass
+        except ConnectionClosed:
+            pass
+        finally:
+            self._clients.discard(client)

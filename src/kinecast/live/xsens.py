@@ -1,71 +1,113 @@
-"""Skeletons from Xsens MVN's network streamer, as it sends them by UDP."""
+"""Skeletons from Xsens MVN's network streamer, as it sends them by UDP.
+
+Source: MVN real-time network streaming protocol specification, revision N (Xsens, 2018); numbers are its sections.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from kinecast.body.skeleton import XSENS_23
 from kinecast.errors import OptionError
-from kinecast.geometry.transforms import from_y_up
-from kinecast.live.admission import FORGET, MOST_PERSONS, Admission
+from kinecast.geometry.axes import from_y_up
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import FARTHEST, MessageError
-from kinecast.live.xsens_datagram import BODY_SEGMENTS, EULER, MOST_CHARACTERS, Datagram, read
+from kinecast.live.sender_guard import FORGET, MOST_PERSONS, SenderGuard
+from kinecast.live.settings import choice
 from kinecast.types import SkeletonFrame
-
-__all__ = ["DEFAULT_PORT", "XsensAdmission", "XsensOptions"]
 
 DEFAULT_PORT = 9763
 """MVN sends to this one unless told otherwise (2.3)."""
+BODY = 23
+"""Segments with the ids 1 to 23 are the body (3.1); what follows are props and fingers."""
+MOST_CHARACTERS = 256
 MOST_PENDING = 3
 """Samples of a character that wait for their other datagrams."""
 REORDERED = 64
 """A sample at most so far behind the newest was overtaken on its way; one farther behind is of a new beginning."""
 CENTIMETRES = 3.0
 """An upper arm beyond this is in cm. The specification says cm for all (2.5.6); with quaternions m have been seen."""
-_UPPER_ARMS = tuple(
-    tuple(XSENS_23.joints.index(f"{side}_{joint}") for joint in ("shoulder", "elbow")) for side in ("left", "right")
+
+# 2.4.1: id, type, sample, datagram, items, time code, character, segments, props, fingers, reserved, payload's size
+_HEADER = struct.Struct(">4s2sIBBIBBBBHH")
+_LAST = 0x80
+_EULER, _QUATERNION = 1, 2
+_POSES = {
+    _EULER: np.dtype([("segment", ">u4"), ("position", ">f4", 3), ("rotation", ">f4", 3)]),  # 2.5.2
+    _QUATERNION: np.dtype([("segment", ">u4"), ("position", ">f4", 3), ("rotation", ">f4", 4)]),  # 2.5.3
+}
+_NO_POSES = frozenset((10, 11, 12, 13, 20, 21, 22, 23, 24, 25))
+"""Names, scales, angles, speeds, times: streamed beside the pose, not needed."""
+_UPPER_ARMS = np.array(
+    [[XSENS_23.joints.index(f"{side}_{joint}") for joint in ("shoulder", "elbow")] for side in ("left", "right")]
 )
 
 
 @dataclass(frozen=True)
 class XsensOptions:
-    """What MVN's datagrams leave open.
+    """What MVN's datagrams leave open."""
 
-    Attributes:
-        person: the only character to take (0..255); None for all.
-        up: "z" or "y", as chosen in MVN; None for its default: y with Euler angles, z with quaternions.
-        by_arrival: whether the time of arrival stamps a frame: for senders whose time code stands still.
-    """
-
-    person: int | None = None
-    up: str | None = None
-    by_arrival: bool = False
+    person: int | None = None  # the only character to take (0..255); None for all
+    up: str | None = None  # "z" or "y", as chosen in MVN; None for its default: y with Euler angles, z with quaternions
+    by_arrival: bool = False  # the time of arrival stamps a frame: for senders whose time code stands still
 
     @classmethod
-    def parse(cls, settings: dict[str, str], text: str) -> XsensOptions:
-        """From `person`, `up` and `stamps`.
-
-        Args:
-            settings: those given.
-            text: of the source, for messages.
+    def parse(cls, settings: Mapping[str, str], text: str) -> XsensOptions:
+        """From `person`, `up` and `stamps` of a source.
 
         Raises:
             OptionError: one outside its range.
         """
-        person, up, stamps = (settings.get(name) for name in ("person", "up", "stamps"))
+        person = settings.get("person")
         if person is not None and not (person.isascii() and person.isdigit() and int(person) < MOST_CHARACTERS):
             raise OptionError(f"{text}: person {person!r} is no character's number, 0..{MOST_CHARACTERS - 1}")
-        if up not in (None, "z", "y"):
-            raise OptionError(f"{text}: up {up!r}, allowed are z, y")
-        if stamps not in (None, "code", "arrival"):
-            raise OptionError(f"{text}: stamps {stamps!r}, allowed are code, arrival")
+        up, stamps = choice(settings, "up", ("z", "y"), text), choice(settings, "stamps", ("code", "arrival"), text)
         return cls(None if person is None else int(person), up, stamps == "arrival")
+
+
+@dataclass(frozen=True)
+class _Datagram:
+    """A pose, or a part of one: origins of body segments 0..22 in the sender's unit and axes, NaN if not finite."""
+
+    kind: int
+    sample: int
+    part: int
+    last: bool
+    milliseconds: int
+    character: int
+    segments: Int[np.ndarray, " N"]
+    positions: Float[np.ndarray, "N 3"]
+
+
+def _read(content: bytes) -> _Datagram | None:
+    """What a datagram holds; None where it is one that holds no pose."""
+    if len(content) < _HEADER.size or content[:4] != b"MXTP" or not content[4:6].isdigit():
+        raise MessageError(f"{len(content)} bytes are no datagram of MVN's")
+    _, digits, sample, counter, items, milliseconds, character, *_, size = _HEADER.unpack_from(content)
+    kind = int(digits)
+    if kind in _NO_POSES:
+        return None
+    if kind not in _POSES:
+        raise MessageError(f"type {kind:02d}: choose position and orientation (quaternion) in MVN's network streamer")
+    layout, payload = _POSES[kind], content[_HEADER.size :]
+    if len(payload) != items * layout.itemsize or size not in (0, len(payload)):  # 0 is of MVN before 2019
+        raise MessageError(f"{len(payload)} bytes for {items} segments of {layout.itemsize} bytes, said to be {size}")
+    table = np.frombuffer(payload, layout)
+    body = table[(table["segment"] >= 1) & (table["segment"] <= BODY)]
+    segments = body["segment"].astype(np.intp) - 1
+    if len(np.unique(segments)) < len(segments):
+        raise MessageError(f"sample {sample} has a segment twice")
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+        positions = body["position"].astype(np.float64)
+    positions[~np.isfinite(positions).all(axis=1)] = np.nan
+    last = bool(counter & _LAST)
+    return _Datagram(kind, sample, counter & ~_LAST, last, milliseconds, character, segments, positions)
 
 
 @dataclass
@@ -73,28 +115,28 @@ class _Sample:
     """What has come of one character's pose."""
 
     milliseconds: int
-    positions: Float[np.ndarray, "23 3"] = field(default_factory=lambda: np.full((BODY_SEGMENTS, 3), np.nan))
-    come: set[int] = field(default_factory=set)
-    segments: set[int] = field(default_factory=set)
-    parts: int | None = None
+    positions: Float[np.ndarray, "23 3"] = field(default_factory=lambda: np.full((BODY, 3), np.nan))
+    come: Bool[np.ndarray, " 23"] = field(default_factory=lambda: np.zeros(BODY, dtype=bool))
+    parts: set[int] = field(default_factory=set)
+    wanted: int | None = None
 
     @property
     def whole(self) -> bool:
         """Whether no segment of the body can come any more; fingers and props are not waited for."""
-        return len(self.segments) == BODY_SEGMENTS or self.parts == len(self.come)
+        return bool(self.come.all()) or self.wanted == len(self.parts)
 
-    def add(self, datagram: Datagram) -> None:
+    def add(self, datagram: _Datagram) -> None:
         if datagram.milliseconds != self.milliseconds:
             raise MessageError(f"sample {datagram.sample} has two time codes")
-        if datagram.index in self.come:
+        if datagram.part in self.parts:
             return
-        if self.segments.intersection(datagram.segments):
+        if self.come[datagram.segments].any():
             raise MessageError(f"sample {datagram.sample} has a segment twice")
-        self.come.add(datagram.index)
-        self.segments.update(datagram.segments)
-        self.positions[list(datagram.segments)] = datagram.positions
+        self.parts.add(datagram.part)
+        self.come[datagram.segments] = True
+        self.positions[datagram.segments] = datagram.positions
         if datagram.last:
-            self.parts = datagram.index + 1
+            self.wanted = datagram.part + 1
 
 
 class _Character:
@@ -108,30 +150,27 @@ class _Character:
         self.pending: dict[int, _Sample] = {}
         self._out: deque[int] = deque(maxlen=8)
 
-    def add(self, datagram: Datagram) -> tuple[list[_Sample], int]:
-        """Takes in a part; samples that go out now, and how many never will.
-
-        Raises:
-            MessageError: it contradicts another part, or came too late.
-        """
+    def add(self, datagram: _Datagram) -> tuple[_Sample | None, int]:
+        """Takes in a part; the sample that goes out now, and how many never will."""
         number = datagram.sample
         if number in self._out:
-            return [], 0  # sent twice, or fingers of a body that is out
+            return None, 0  # sent twice, or fingers of a body that is out
         if self._out and _ahead(self._out[-1], number) <= REORDERED:
             raise MessageError(f"sample {number} came after sample {self._out[-1]}")
         sample = self.pending.setdefault(number, _Sample(datagram.milliseconds))
         sample.add(datagram)
+        lost = 0
         if sample.whole:
-            behind = [other for other in self.pending if _ahead(other, number) > REORDERED or other == number]
-            for other in behind:
-                del self.pending[other]
-            self._out.append(number)
-            return [sample], len(behind) - 1
-        if len(self.pending) <= MOST_PENDING:
-            return [], 0
-        oldest = next(iter(self.pending))
-        self._out.append(oldest)
-        return [self.pending.pop(oldest)], 0
+            kept = {k: other for k, other in self.pending.items() if k != number and _ahead(k, number) <= REORDERED}
+            lost = len(self.pending) - 1 - len(kept)
+            self.pending = kept
+        elif len(self.pending) > MOST_PENDING:
+            number = next(iter(self.pending))
+            sample = self.pending.pop(number)
+        else:
+            return None, 0
+        self._out.append(number)
+        return sample, lost
 
 
 def _ahead(number: int, other: int) -> int:
@@ -139,15 +178,11 @@ def _ahead(number: int, other: int) -> int:
     return (number - other) % (1 << 32)
 
 
-class XsensAdmission(Admission):
+class XsensGuard(SenderGuard):
     """Takes the datagrams of every sender to one port; whatever comes, nothing is raised.
 
     Frames are of Xsens 23, one as soon as its whole body is there, or once its rest is not waited for any more: what
     did not come is not seen (NaN) then. A person is named by the character's number.
-
-    Args:
-        feed: where frames go, and what is no pose, late or incomplete is counted.
-        options: what the datagrams leave open.
     """
 
     def __init__(self, feed: Feed, options: XsensOptions) -> None:
@@ -163,21 +198,19 @@ class XsensAdmission(Admission):
     def take(self, content: bytes | str, sender: Hashable, arrived: float) -> None:
         """One datagram; types that hold no pose, and characters that are not wanted, are passed over."""
         try:
-            datagram = read(content if isinstance(content, bytes) else content.encode())
-            if datagram is not None and self._options.person in (None, datagram.character):
-                self._take(datagram, sender, arrived)
+            datagram = _read(content if isinstance(content, bytes) else content.encode())
+            if datagram is None or self._options.person not in (None, datagram.character):
+                return
+            character = self._character((sender, datagram.character), datagram.kind, arrived)
+            if character.kind != datagram.kind:
+                return  # the same pose, said in another way
+            sample, lost = character.add(datagram)
+            for _ in range(lost):
+                self._feed.refuse("a sample is incomplete: a datagram was lost")
+            if sample is not None:
+                self.admit(self._frame(character, sample, str(datagram.character), arrived), sender, arrived)
         except MessageError as problem:
             self._feed.refuse(str(problem))
-
-    def _take(self, datagram: Datagram, sender: Hashable, arrived: float) -> None:
-        character = self._character((sender, datagram.character), datagram.kind, arrived)
-        if character.kind != datagram.kind:
-            return  # the same pose, said in another way
-        samples, lost = character.add(datagram)
-        for _ in range(lost):
-            self._feed.refuse("a sample is incomplete: a datagram was lost")
-        for sample in samples:
-            self.admit(self._frame(character, sample, str(datagram.character), arrived), sender, arrived)
 
     def _character(self, key: tuple[Hashable, int], kind: int, arrived: float) -> _Character:
         """Who it is; a new one takes the place of one that is silent."""
@@ -193,7 +226,7 @@ class XsensAdmission(Admission):
         if not self._options.by_arrival and sample.milliseconds == character.milliseconds:
             raise MessageError("the time code stands still; ?stamps=arrival takes frames as they come")
         character.milliseconds = sample.milliseconds
-        arms = sample.positions[np.array(_UPPER_ARMS)]
+        arms = sample.positions[_UPPER_ARMS]
         lengths = np.linalg.norm(arms[:, 0] - arms[:, 1], axis=1)
         if np.isfinite(lengths).any():
             character.scale = 0.01 if np.nanmax(lengths) > CENTIMETRES else 1.0
@@ -201,7 +234,7 @@ class XsensAdmission(Admission):
         farthest = np.abs(positions).max(initial=0.0, where=np.isfinite(positions))
         if farthest > FARTHEST:
             raise MessageError(f"a segment is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
-        if self._options.up == "y" or (self._options.up is None and character.kind == EULER):
+        if self._options.up == "y" or (self._options.up is None and character.kind == _EULER):
             positions = from_y_up(positions)
         stamp = arrived if self._options.by_arrival else sample.milliseconds / 1000
         return SkeletonFrame(stamp, XSENS_23.joints, positions, person)

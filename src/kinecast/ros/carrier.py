@@ -9,12 +9,11 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
-from kinecast.live.admission import Admission
-from kinecast.live.attempts import Attempts
+from kinecast.live.counters import SinkCounters
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError
 from kinecast.live.publication import Publication
-from kinecast.live.tally import Tally
+from kinecast.live.sender_guard import SenderGuard
 from kinecast.ros.incoming import Incoming
 from kinecast.ros.messages import Messages
 from kinecast.ros.outgoing import Outgoing, Posting
@@ -70,15 +69,15 @@ class RosSource:
         feed: where bad messages are counted.
         incoming: reads messages.
         carrier: is closed with the source.
-        admission: takes the frames.
+        guard: takes the frames.
     """
 
-    def __init__(self, address: str, feed: Feed, incoming: Incoming, carrier: Carrier, admission: Admission) -> None:
+    def __init__(self, address: str, feed: Feed, incoming: Incoming, carrier: Carrier, guard: SenderGuard) -> None:
         self.address = address
         self._feed = feed
         self._incoming = incoming
         self._carrier = carrier
-        self._admission = admission
+        self._guard = guard
         self._lock = threading.Lock()
 
     def start(self) -> None:
@@ -104,7 +103,7 @@ class RosSource:
                 try:
                     if isinstance(found, MessageError):
                         raise found
-                    self._admission.admit(found, self.address, arrived)
+                    self._guard.admit(found, self.address, arrived)
                 except MessageError as problem:
                     self._feed.refuse(str(problem))
 
@@ -121,8 +120,7 @@ class RosSink:
 
     def __init__(self, address: str, outgoing: Outgoing, carrier: Carrier, room: int) -> None:
         self.address = address
-        self.tally = Tally()
-        self._attempts = Attempts(address, "sent", OSError)
+        self.counters = SinkCounters(address, "sent", OSError)
         self._outgoing = outgoing
         self._carrier = carrier
         self._room = room
@@ -135,17 +133,12 @@ class RosSink:
         self._thread = threading.Thread(target=self._run, name=address, daemon=True)
         self._thread.start()
 
-    @property
-    def failure(self) -> str | None:
-        """See kinecast.live.sinks.Sink."""
-        return self._attempts.failure
-
     def publish(self, publication: Publication) -> None:
         """See kinecast.live.sinks.Sink."""
         with self._changed:
             if len(self._waiting) >= self._room:
                 self._waiting.popleft()
-                self.tally.dropped += 1
+                self.counters.drop()
             self._waiting.append(publication)
             self._changed.notify()
 
@@ -164,17 +157,17 @@ class RosSink:
                 publication = self._waiting.popleft() if self._waiting else None
                 ended = self._ending and publication is None
             if publication is not None:
-                if self._attempts.succeeds(self._send, self._told(publication)):
-                    self.tally.sent(time.monotonic() - publication.acquired)
+                if self.counters.attempt(self._send, self._told(publication)):
+                    self.counters.sent(time.monotonic() - publication.acquired)
                 else:
-                    self.tally.dropped += 1
-            self._attempts.succeeds(self._send, self._outgoing.take_back(math.inf if ended else time.monotonic()))
+                    self.counters.drop()
+            self.counters.attempt(self._send, self._outgoing.take_back(math.inf if ended else time.monotonic()))
             if ended:
                 break
         try:
             self._carrier.close()
         except Exception as error:
-            self._attempts.fail(error)
+            self.counters.fail(error)
 
     def _told(self, publication: Publication) -> Iterator[Posting]:
         yield from self._outgoing.tell(publication, time.monotonic(), self._carrier.now())

@@ -12,9 +12,8 @@ import numpy as np
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
-from kinecast.live.attempts import Attempts
+from kinecast.live.counters import SinkCounters
 from kinecast.live.publication import Publication
-from kinecast.live.tally import Tally
 from kinecast.types import LIMBS, Status
 from kinecast.view.colours import hex_of
 from kinecast.view.nodes import LATE, OPACITY, REGION, SOON, CapsulesNode, People
@@ -52,10 +51,9 @@ class LiveView:
     """
 
     def __init__(self, host: str, port: int, scene: Scene | None = None, name: str = "the view") -> None:
-        self.tally = Tally()
         self._server = open_server(host, port, name)
         self.address = url_of(self._server)
-        self._attempts = Attempts(self.address, "drawn")
+        self.counters = SinkCounters(self.address, "drawn")
         self._stage = _Stage(self._server, scene)
         self._waiting: dict[tuple[str, str], Publication] = {}
         self._shown: dict[tuple[str, str], tuple[Publication, float]] = {}
@@ -65,15 +63,10 @@ class LiveView:
         self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
         self._thread.start()
 
-    @property
-    def failure(self) -> str | None:
-        """See kinecast.live.sinks.Sink."""
-        return self._attempts.failure
-
     def publish(self, publication: Publication) -> None:
         """See kinecast.live.sinks.Sink; one that a newer replaces before it is drawn counts as dropped."""
         with self._lock:
-            self.tally.dropped += publication.key in self._waiting
+            self.counters.drop(publication.key in self._waiting)
             self._waiting[publication.key] = publication
         self._arrived.set()
 
@@ -89,11 +82,11 @@ class LiveView:
             self._arrived.wait(PATIENCE)
             with self._lock:
                 newest, self._waiting = self._waiting, {}
-            if self._attempts.succeeds(self._refresh, newest, time.monotonic()):
+            if self.counters.attempt(self._refresh, newest, time.monotonic()):
                 for publication in newest.values():
-                    self.tally.sent(time.monotonic() - publication.acquired)
+                    self.counters.sent(time.monotonic() - publication.acquired)
             else:
-                self.tally.dropped += len(newest)
+                self.counters.drop(len(newest))
                 for key in newest:  # else what cannot be drawn would keep others from being drawn
                     self._shown.pop(key, None)
 

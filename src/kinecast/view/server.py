@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import socket
 
 from kinecast.errors import MissingExtraError, OptionError
@@ -34,6 +35,7 @@ def open_server(host: str, port: int, name: str) -> ViserServer:
         OptionError: nothing can listen there.
     """
     check_address(host, port, name)
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # browsers that vanish are no fault to trace
     with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
         server = _Server(host, port, label="kinecast", verbose=False)
     if port not in (0, server.get_port()):  # taken in the meantime, so that it went on to the next

@@ -18,9 +18,9 @@ from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, transform
-from kinecast.live.admission import Admission
 from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Mailbox
+from kinecast.live.sender_guard import SenderGuard
 from kinecast.types import SkeletonFrame
 
 JOINTS = ("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist", "neck", "pelvis")
@@ -329,7 +329,7 @@ def test_a_rig_of_which_nothing_can_come_does_not_keep_the_others_waiting() -> N
 def test_messages_of_pixels_and_of_a_cameras_own_skeletons_reach_the_fusion() -> None:
     mailbox = Mailbox()
     source, feed = FusedSource(RIG, mailbox.feed("fusion")), mailbox.feed("ws")
-    admission, lone = Admission(feed, source), Admission(feed)
+    guard, lone = SenderGuard(feed, source), SenderGuard(feed)
     source.expect(feed)
     source.start()
     own = apply(RIG.cameras["b"].T_camera_world, REST)
@@ -340,18 +340,18 @@ def test_messages_of_pixels_and_of_a_cameras_own_skeletons_reach_the_fusion() ->
         view = look("a", REST)
         seen = {"camera": "a", "pixels": view.pixels.tolist(), "depth": view.depth.tolist()}
         for content in (common | seen, common | {"frame_id": "b", "positions": own.tolist()}):
-            admission.take(json.dumps(content), "sender", max(begun + k * PERIOD, begun))
+            guard.take(json.dumps(content), "sender", max(begun + k * PERIOD, begun))
         if (arrival := mailbox.take(PERIOD)) is not None:
             found = arrival.frame
             break
     assert found is not None
     assert error(found, still).max() < 0.02
     refused = feed.refused
-    admission.take(json.dumps(common | seen | {"camera": "d"}), "sender", time.monotonic())
+    guard.take(json.dumps(common | seen | {"camera": "d"}), "sender", time.monotonic())
     lone.take(json.dumps(common | seen), "sender", time.monotonic())
-    Admission(feed, source, "b").take(json.dumps(common | seen), "sender", time.monotonic())
+    SenderGuard(feed, source, "b").take(json.dumps(common | seen), "sender", time.monotonic())
     assert feed.refused == refused + 3
-    admission.take(json.dumps(common | {"positions": REST.tolist()}), "sender", time.monotonic())  # in the world
+    guard.take(json.dumps(common | {"positions": REST.tolist()}), "sender", time.monotonic())  # in the world
     arrivals = (mailbox.take(1.0) for _ in range(60))
     assert any(each is not None and each.feed is feed for each in arrivals)
     source.close()

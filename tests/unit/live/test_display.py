@@ -10,10 +10,10 @@ from rich.console import Console
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.cli import live_display
+from kinecast.live.counters import SinkCounters
 from kinecast.live.loop import Live
 from kinecast.live.mailbox import Mailbox
 from kinecast.live.publication import Publication
-from kinecast.live.tally import Tally
 from kinecast.predictor import Predictor
 from kinecast.types import SkeletonFrame
 
@@ -21,13 +21,13 @@ from kinecast.types import SkeletonFrame
 class Counted:
     """A sink that only counts."""
 
-    address, failure = "mcap:[bold]a.mcap", None
+    address = "mcap:[bold]a.mcap"
 
     def __init__(self) -> None:
-        self.tally = Tally()
+        self.counters = SinkCounters(self.address, "written")
 
     def publish(self, publication: Publication) -> None:  # noqa: ARG002
-        self.tally.sent(0.0121)
+        self.counters.sent(0.0121)
 
     def close(self) -> None:
         pass

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS, COCO_17
-from kinecast.live.admission import FORGET, MOST_PERSONS, MOST_SENDERS, Admission
 from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Mailbox
 from kinecast.live.message import LARGEST_MESSAGE, MessageError, decode
+from kinecast.live.sender_guard import FORGET, MOST_PERSONS, MOST_SENDERS, SenderGuard
 from kinecast.types import SkeletonFrame
 
 REST = [[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]]
@@ -106,11 +106,11 @@ def fuzz(count: int) -> None:
     messages = [odd_message(rng) for _ in range(2000)]
     mailbox = Mailbox()
     feed = mailbox.feed("fuzz")
-    admission = Admission(feed)
+    guard = SenderGuard(feed)
     now = 0.0
     for _ in range(count):
         now += rng.choice((0.0, 0.001, 0.03, 3.0))
-        admission.take(damaged(rng.choice(messages), rng), rng.randrange(20), now)
+        guard.take(damaged(rng.choice(messages), rng), rng.randrange(20), now)
         while (arrival := mailbox.take(0.0)) is not None:
             assert plausible(arrival.frame)
             assert arrival.acquired <= now
@@ -179,46 +179,42 @@ def encoded(content: dict[str, Any], packed: bool) -> bytes:
 # Who may send what
 
 
-def send(admission: Admission, person: str, sender: str, at: float) -> None:
-    admission.take(json.dumps(message(person=person, stamp=at)), sender, at)
+def send(guard: SenderGuard, person: str, sender: str, at: float) -> None:
+    guard.take(json.dumps(message(person=person, stamp=at)), sender, at)
 
 
 def test_a_person_belongs_to_one_sender_until_it_is_silent_or_leaves() -> None:
     mailbox = Mailbox()
     feed = mailbox.feed("cameras")
-    admission = Admission(feed)
-    send(admission, "anna", "left", 0.0)
-    send(admission, "anna", "right", 0.1)
+    guard = SenderGuard(feed)
+    send(guard, "anna", "left", 0.0)
+    send(guard, "anna", "right", 0.1)
     assert (feed.received, feed.refused) == (1, 1)
-    send(admission, "anna", "right", 0.1 + FORGET)
+    send(guard, "anna", "right", 0.1 + FORGET)
     assert (feed.received, feed.refused) == (2, 1)
-    admission.leave("right")
-    send(admission, "anna", "left", 0.2 + FORGET)
+    guard.leave("right")
+    send(guard, "anna", "left", 0.2 + FORGET)
     assert (feed.received, feed.refused) == (3, 1)
 
 
 def test_persons_and_senders_are_few() -> None:
     mailbox = Mailbox()
     feed = mailbox.feed("cameras")
-    admission = Admission(feed)
+    guard = SenderGuard(feed)
     for number in range(MOST_PERSONS + 3):
-        send(admission, str(number), "one", 0.0)
+        send(guard, str(number), "one", 0.0)
     assert (feed.received, feed.refused) == (MOST_PERSONS, 3)
     for number in range(MOST_SENDERS + 2):
-        send(admission, str(number), f"sender {number}", 10.0)
+        send(guard, str(number), f"sender {number}", 10.0)
     assert (feed.received, feed.refused) == (MOST_PERSONS + MOST_SENDERS, 5)
 
 
 def test_the_log_has_a_line_and_not_one_for_each(caplog: pytest.LogCaptureFixture) -> None:
-    admission = Admission(Mailbox().feed("liar"))
+    guard = SenderGuard(Mailbox().feed("liar"))
     for _ in range(1000):
-        admission.take(b"{", "one", 0.0)
+        guard.take(b"{", "one", 0.0)
     assert 1 <= len(caplog.records) < 10
     assert caplog.records[0].getMessage().startswith("liar: ")
-
-
-if __name__ == "__main__":
-    fuzz(FUZZED)
 
 
 def sighted(**changes: Any) -> dict[str, Any]:
@@ -258,3 +254,7 @@ def test_what_is_wrong_with_pixels_is_said_in_a_line(changes: dict[str, Any], wo
     with pytest.raises(MessageError) as caught:
         decode(json.dumps(sighted(**changes)))
     assert words in str(caught.value)
+
+
+if __name__ == "__main__":
+    fuzz(FUZZED)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,20 +18,21 @@ from websockets.sync.client import connect
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
-from kinecast.live.admission import Admission
-from kinecast.live.foxglove import SCENE_UPDATE, scene_update
+from kinecast.live.counters import SinkCounters
+from kinecast.live.foxglove import scene_update
 from kinecast.live.loop import Live
 from kinecast.live.mailbox import Mailbox
+from kinecast.live.mcap_file import schema
 from kinecast.live.network import Address, Network
-from kinecast.live.publication import SCHEMA, Publication
-from kinecast.live.sinks import MOST_WAITING, FileSink, JsonlSink
-from kinecast.live.tally import Tally
-from kinecast.live.websocket import MOST_UNSENT, WebSocketSink
+from kinecast.live.publication import Publication
+from kinecast.live.sender_guard import SenderGuard
+from kinecast.live.sinks import MOST_UNSENT, MOST_WAITING, FileSink, JsonlSink, WebSocketSink
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame, Status
 
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
 LONG = 120.0
+SCHEMA, SCENE_UPDATE = schema("kinecast.Prediction"), schema("foxglove.SceneUpdate")
 MODEL = Path(__file__).resolve().parents[3] / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
 
 
@@ -108,26 +109,14 @@ def test_a_tube_is_drawn_where_it_is(predictor: Predictor) -> None:
     assert cylinder["size"]["x"] == pytest.approx(2 * sent.tubes.radius[-1, -1], abs=2e-4)
 
 
-def test_a_tally_knows_percentiles_to_half_a_millisecond() -> None:
-    tally = Tally()
-    assert np.isnan(tally.latency(0.5))
-    latencies = np.random.default_rng(0).exponential(0.02, 5000)
-    for latency in latencies:
-        tally.sent(float(latency))
-    for share in (0.5, 0.99):
-        assert 0 <= tally.latency(share) - np.quantile(latencies, share, method="inverted_cdf") <= 0.5e-3
-    tally.sent(1e9)
-    assert tally.latency(1.0) == np.inf
-
-
 class Slow(FileSink):
     """Writes when it is allowed to."""
 
     allowed = threading.Event()
 
-    def write(self, file: IO[bytes], publication: Publication) -> None:
+    def write(self, publication: Publication) -> None:
         self.allowed.wait(LONG)
-        file.write(publication.json)
+        self.file.write(publication.json)
 
 
 def test_a_slow_disc_drops_and_never_makes_anyone_wait(predictor: Predictor, tmp_path: Path) -> None:
@@ -135,10 +124,10 @@ def test_a_slow_disc_drops_and_never_makes_anyone_wait(predictor: Predictor, tmp
     sent = publication(predictor)
     for _ in range(MOST_WAITING + 50):
         sink.publish(sent)
-    assert 49 <= sink.tally.dropped <= 50  # one may be in the writer's hands
+    assert 49 <= sink.counters.dropped <= 50  # one may be in the writer's hands
     sink.allowed.set()
     sink.close()
-    assert sink.tally.published + sink.tally.dropped == MOST_WAITING + 50
+    assert sink.counters.published + sink.counters.dropped == MOST_WAITING + 50
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full: a full disc cannot be had")
@@ -147,9 +136,9 @@ def test_a_full_disc_is_said_once_and_ends_nothing(predictor: Predictor, caplog:
     for number in range(20):
         sink.publish(publication(predictor, number))
     sink.close()
-    assert sink.failure is not None
-    assert "No space left" in sink.failure
-    assert sink.tally.published + sink.tally.dropped == 20
+    assert sink.counters.failure is not None
+    assert "No space left" in sink.counters.failure
+    assert sink.counters.published + sink.counters.dropped == 20
     assert len(caplog.records) == 1
 
 
@@ -172,14 +161,13 @@ def test_a_client_that_does_not_read_misses_and_the_others_do_not(predictor: Pre
         )
         assert idle.recv(12) == b"HTTP/1.1 101"
         number = 0
-        while sink.tally.dropped < 10:  # the kernel takes some megabytes before the client's silence is noticed
+        while sink.counters.dropped < 10:  # the kernel takes some megabytes before the client's silence is noticed
             number += 1
             assert number < 20_000
             sink.publish(publication(predictor, number))
             assert json.loads(reader.recv(timeout=LONG))["number"] == number
-        assert sink.clients == 2
-        waiting = max(client.transport.get_write_buffer_size() for client in sink._clients)
-        assert waiting <= MOST_UNSENT + 2 * len(publication(predictor).json)
+        assert len(sink.unsent) == 2
+        assert max(sink.unsent) <= MOST_UNSENT + 2 * len(publication(predictor).json)
     sink.close()
 
 
@@ -202,7 +190,7 @@ def test_an_address_that_is_taken_is_an_option_error(network: Network) -> None:
 class Broken:
     """A sink with a mistake in it."""
 
-    address, failure, tally = "broken", None, Tally()
+    address, counters = "broken", SinkCounters("broken", "sent")
 
     def publish(self, publication: Publication) -> None:
         raise RuntimeError(publication.number)
@@ -244,7 +232,7 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
     sink = Kept(taken)
     live = Live(mailbox, lambda: Predictor.load(MODEL, options=PredictorOptions(samples=20)), [sink])
     alone = Predictor.load(MODEL, options=PredictorOptions(samples=20))
-    admission = Admission(liar)
+    guard = SenderGuard(liar)
     now = time.monotonic() + 1e6  # acquired in the future: no delay, however busy the machine is
     for k in range(150):
         frame = SkeletonFrame(k / 30, ARM_JOINTS, REST + 0.02 * np.sin(k / 5), "0")
@@ -257,7 +245,7 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
             if k % 40 > 15:
                 arms[rng.integers(6)][rng.integers(3)] = rng.choice((None, 0.0, 9999.0))
             lie = {"stamp": stamp, "joints": ARM_JOINTS, "positions": arms, "person": str(rng.integers(3))}
-            admission.take(json.dumps(lie, default=float), "liar", now)
+            guard.take(json.dumps(lie, default=float), "liar", now)
         while (arrival := mailbox.take(0.0)) is not None:
             live.step(arrival)
         mine = next(each for each in reversed(taken) if each.source == "camera")
@@ -274,7 +262,7 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
 class Kept:
     """A sink in memory."""
 
-    address, failure, tally = "memory", None, Tally()
+    address, counters = "memory", SinkCounters("memory", "sent")
 
     def __init__(self, taken: list[Publication]) -> None:
         self.taken = taken

@@ -10,7 +10,7 @@ from kinecast.errors import OptionError
 from kinecast.live.clock import CONFIRM, SourceClock
 from kinecast.live.mailbox import Mailbox
 from kinecast.live.network import Address
-from kinecast.live.recorded import RecordedSource
+from kinecast.live.sources import RecordedSource
 from kinecast.types import SkeletonFrame
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS, XSENS_23
-from kinecast.live.admission import FORGET, MOST_PERSONS
 from kinecast.live.mailbox import Feed, Mailbox
-from kinecast.live.xsens import XsensAdmission, XsensOptions
+from kinecast.live.sender_guard import FORGET, MOST_PERSONS
+from kinecast.live.xsens import XsensGuard, XsensOptions
 from kinecast.types import SkeletonFrame
 
 FUZZED = 100_000
@@ -49,12 +49,12 @@ FINGERS = [(k, (9.0, 9.0, 9.0)) for k in range(24, 64)]
 
 
 class Listener:
-    """An admission, and what came through it."""
+    """A guard, and what came through it."""
 
     def __init__(self, options: XsensOptions | None = None) -> None:
         self.mailbox = Mailbox()
         self.feed: Feed = self.mailbox.feed("xsens")
-        self.admission = XsensAdmission(self.feed, options or XsensOptions())
+        self.guard = XsensGuard(self.feed, options or XsensOptions())
         self.now = 0.0
 
     def hear(self, *contents: bytes, sender: str = "suit") -> list[SkeletonFrame]:
@@ -62,7 +62,7 @@ class Listener:
         frames = []
         for content in contents:
             self.now += 0.001
-            self.admission.take(content, sender, self.now)
+            self.guard.take(content, sender, self.now)
             while (arrival := self.mailbox.take(0.0)) is not None:
                 frames.append(arrival.frame)
         return frames
@@ -220,19 +220,19 @@ def fuzz(count: int) -> None:
     rng = random.Random(9)
     bursts = [[content for _ in range(8) for content in odd_sample(rng)] for _ in range(300)]
     listener = Listener()
-    admission, mailbox, feed = listener.admission, listener.mailbox, listener.feed
+    guard, mailbox, feed = listener.guard, listener.mailbox, listener.feed
     now, taken = 0.0, 0
     while taken < count:
         burst = rng.choice(bursts)
         for content in rng.sample(burst, len(burst)):
             now += rng.choice((0.1, 3.0)) if rng.random() < 0.02 else 0.001
             taken += 1
-            admission.take(damaged(content, rng), rng.randrange(30) if rng.random() < 0.2 else "suit", now)
+            guard.take(damaged(content, rng), rng.randrange(30) if rng.random() < 0.2 else "suit", now)
         while (arrival := mailbox.take(0.0)) is not None:
             assert plausible(arrival.frame)
     assert feed.received > count // 20
     assert feed.refused > count // 10
-    assert admission.waiting <= 4 * MOST_PERSONS
+    assert guard.waiting <= 4 * MOST_PERSONS
 
 
 def plausible(frame: SkeletonFrame) -> bool:

@@ -65,7 +65,7 @@ def test_predictions_in_a_bag_are_read_by_its_own_definitions(
     for k in range(8):
         sink.publish(publish(REST, k / 30))
     sink.close()
-    assert (sink.tally.published, sink.tally.dropped, sink.failure) == (8, 0, None)
+    assert (sink.counters.published, sink.counters.dropped, sink.counters.failure) == (8, 0, None)
     with AnyReader([path]) as reader:
         messages: dict[str, list[Any]] = {}
         for connection, _, content in reader.messages():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.live.admission import Admission
 from kinecast.live.mailbox import Mailbox
+from kinecast.live.sender_guard import SenderGuard
 from kinecast.ros.carrier import RosSink, RosSource, Taker
 from kinecast.ros.incoming import Incoming, InputOptions
 from kinecast.ros.messages import Distribution, messages_of
@@ -60,11 +60,11 @@ def test_the_oldest_waits_no_longer_where_there_is_no_room(publish: Any) -> None
     assert wire.begun.wait(60.0)
     for k in range(8):
         sink.publish(publish(REST, 0.0, str(k)))
-    assert sink.tally.dropped == 5
+    assert sink.counters.dropped == 5
     wire.free.set()
     sink.close()
     assert wire.sent == ["first", "5", "6", "7"]
-    assert (sink.tally.published, sink.failure, wire.closed) == (4, None, True)
+    assert (sink.counters.published, sink.counters.failure, wire.closed) == (4, None, True)
 
 
 def after_five(wire: Wire, publish: Any) -> RosSink:
@@ -80,8 +80,8 @@ def after_five(wire: Wire, publish: Any) -> RosSink:
 def test_after_an_error_of_the_system_nothing_more_is_sent(publish: Any, caplog: pytest.LogCaptureFixture) -> None:
     wire = Wire(OSError("the cable is out"))
     sink = after_five(wire, publish)
-    assert sink.failure == "wire: the cable is out"
-    assert (sink.tally.published, sink.tally.dropped) == (0, 5)
+    assert sink.counters.failure == "wire: the cable is out"
+    assert (sink.counters.published, sink.counters.dropped) == (0, 5)
     assert caplog.text.count("nothing more is sent") == 1
     assert wire.closed
 
@@ -89,14 +89,14 @@ def test_after_an_error_of_the_system_nothing_more_is_sent(publish: Any, caplog:
 def test_any_other_error_costs_one_prediction(publish: Any, caplog: pytest.LogCaptureFixture) -> None:
     wire = Wire(ValueError("odd"))
     sink = after_five(wire, publish)
-    assert (sink.tally.published, sink.tally.dropped, sink.failure) == (0, 5, None)
+    assert (sink.counters.published, sink.counters.dropped, sink.counters.failure) == (0, 5, None)
     assert caplog.text.count("could not be sent") == 1
 
 
 def test_a_source_counts_what_it_refuses_and_goes_on() -> None:
     wire, feed = Wire(), Mailbox().feed("wire")
     incoming = Incoming("/arms", "geometry_msgs/PoseArray", InputOptions(joints=",".join(ARM_JOINTS)))
-    source = RosSource("wire", feed, incoming, wire, Admission(feed))
+    source = RosSource("wire", feed, incoming, wire, SenderGuard(feed))
     source.start()
     poses = [{"position": dict(zip("xyz", xyz, strict=True))} for xyz in REST.tolist()]
     good = wire.messages.encode("geometry_msgs/PoseArray", {"header": {"stamp": 5.0}, "poses": poses})

@@ -50,9 +50,9 @@ def publication(predictor: Predictor, number: int, arms: np.ndarray = REST, pers
 def settled(view: LiveView, count: int) -> None:
     """Waits until so many publications are accounted for."""
     end = time.monotonic() + 60.0
-    while view.tally.published + view.tally.dropped < count and time.monotonic() < end:
+    while view.counters.published + view.counters.dropped < count and time.monotonic() < end:
         time.sleep(0.01)
-    assert view.tally.published + view.tally.dropped == count
+    assert view.counters.published + view.counters.dropped == count
 
 
 def test_every_publication_is_drawn_or_counted(view: LiveView, predictor: Predictor) -> None:
@@ -60,8 +60,8 @@ def test_every_publication_is_drawn_or_counted(view: LiveView, predictor: Predic
     for number in range(1, 30):
         view.publish(publication(predictor, number))
     settled(view, 29)
-    assert view.tally.published >= 1
-    assert view.failure is None
+    assert view.counters.published >= 1
+    assert view.counters.failure is None
     assert "<b>0</b> · camera" in view._stage._words.content
 
 
@@ -93,11 +93,11 @@ def test_what_cannot_be_drawn_is_counted_and_the_next_is_drawn(
         broken.setattr(view._stage, "_aim", None)
         view.publish(publication(predictor, 1))
         settled(view, 1)
-    assert (view.tally.published, view.tally.dropped, view.failure) == (0, 1, None)
+    assert (view.counters.published, view.counters.dropped, view.counters.failure) == (0, 1, None)
     assert caplog.text.count("could not be drawn") == 1
     view.publish(publication(predictor, 2))
     settled(view, 2)
-    assert (view.tally.published, view.tally.dropped) == (1, 1)
+    assert (view.counters.published, view.counters.dropped) == (1, 1)
 
 
 def test_it_listens_on_this_machine_and_a_taken_port_is_named(view: LiveView) -> None:

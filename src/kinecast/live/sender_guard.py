@@ -11,8 +11,6 @@ from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError, decode
 from kinecast.types import SkeletonFrame
 
-__all__ = ["MOST_PERSONS", "MOST_SENDERS", "Admission"]
-
 MOST_PERSONS = 16
 """Persons of one source, or of one camera of it, at once."""
 MOST_SENDERS = 16
@@ -23,19 +21,15 @@ FORGET = 2.0
 
 @runtime_checkable
 class CameraFusion(Protocol):
-    """Where what several cameras see goes (kinecast.cameras.fused_source)."""
+    """Where what the cameras of a rig see goes (kinecast.cameras)."""
 
     @property
-    def cameras(self) -> Collection[str]:
-        """Names of the rig's cameras."""
-        ...
+    def cameras(self) -> Collection[str]: ...  # names of those in the rig
 
-    def put(self, camera: str, feed: Feed, person: Detection | SkeletonFrame, acquired: float) -> None:
-        """Takes one person as one camera saw them; `acquired` [s] is on `time.monotonic`."""
-        ...
+    def put(self, camera: str, feed: Feed, person: Detection | SkeletonFrame, acquired: float) -> None: ...
 
 
-class Admission:
+class SenderGuard:
     """Takes the messages of every sender to one source; whatever comes, nothing is raised.
 
     Args:
@@ -57,13 +51,7 @@ class Admission:
         return len(self._senders)
 
     def take(self, content: bytes | str, sender: Hashable, arrived: float) -> None:
-        """One message.
-
-        Args:
-            content: see kinecast.live.message.
-            sender: who sent it: a connection or an address.
-            arrived: when [s], on `time.monotonic`.
-        """
+        """One message (see `decode`) of a sender: a connection or an address; `arrived` [s] is on `time.monotonic`."""
         try:
             self.admit(decode(content), sender, arrived)
         except MessageError as problem:
@@ -76,8 +64,8 @@ class Admission:
             MessageError: too many send, its person is another sender's, or its camera is none of the rig's.
         """
         camera = self._camera_of(frame)
-        clock = self._clock(sender, arrived)
-        self._claim(camera, frame.person, sender, arrived)
+        clock = self._clock_of(sender, arrived)
+        self._claim((camera, frame.person), sender, arrived)
         jumps = clock.jumps
         acquired = clock.acquired(frame.stamp, arrived)
         self._feed.clock_jumps += clock.jumps - jumps
@@ -92,7 +80,7 @@ class Admission:
         self._senders.pop(sender, None)
         self._persons = {person: owner for person, owner in self._persons.items() if owner[0] != sender}
 
-    def _clock(self, sender: Hashable, arrived: float) -> SourceClock:
+    def _clock_of(self, sender: Hashable, arrived: float) -> SourceClock:
         """The sender's clock; one that is new takes the place of one that is silent."""
         if sender not in self._senders:
             self._senders = {known: kept for known, kept in self._senders.items() if arrived - kept[1] < FORGET}
@@ -102,29 +90,29 @@ class Admission:
         self._senders[sender] = clock, arrived
         return clock
 
+    def _claim(self, person: tuple[str, str], sender: Hashable, arrived: float) -> None:
+        """A person of a camera belongs to the first who sends it, until that sender is silent about it."""
+        owner, last = self._persons.get(person, (sender, arrived))
+        if owner != sender and arrived - last < FORGET:
+            raise MessageError(f"person {person[1]!r} is sent by another sender too")
+        if person not in self._persons:
+            self._persons = {known: kept for known, kept in self._persons.items() if arrived - kept[1] < FORGET}
+            if sum(camera == person[0] for camera, _ in self._persons) >= MOST_PERSONS:
+                raise MessageError(f"more than {MOST_PERSONS} persons")
+        self._persons[person] = sender, arrived
+
     def _camera_of(self, frame: SkeletonFrame | Detection) -> str:
         """The rig's camera whose frame it is; empty for a skeleton in the world."""
+        pixels = isinstance(frame, Detection)
         if self._fused is None:
-            if isinstance(frame, Detection):
+            if pixels:
                 raise MessageError("pixels need --rig, a file of cameras")
             return ""
         cameras = self._fused.cameras
-        name = frame.camera if isinstance(frame, Detection) else frame.frame_id
-        named = name if isinstance(frame, Detection) or name in cameras else ""
+        named = frame.camera if isinstance(frame, Detection) else frame.frame_id if frame.frame_id in cameras else ""
         if named and self._camera and named != self._camera:
             raise MessageError(f"camera {named!r}, but this source is of camera {self._camera!r}")
         camera = named or self._camera
-        if isinstance(frame, Detection) and camera not in cameras:
+        if pixels and camera not in cameras:
             raise MessageError(f"camera {camera!r} is not in the rig, which has {', '.join(cameras)}")
         return camera
-
-    def _claim(self, camera: str, person: str, sender: Hashable, arrived: float) -> None:
-        """A person of a camera belongs to the first who sends it, until that sender is silent about it."""
-        owner, last = self._persons.get((camera, person), (sender, arrived))
-        if owner != sender and arrived - last < FORGET:
-            raise MessageError(f"person {person!r} is sent by another sender too")
-        if (camera, person) not in self._persons:
-            self._persons = {name: kept for name, kept in self._persons.items() if arrived - kept[1] < FORGET}
-            if sum(name[0] == camera for name in self._persons) >= MOST_PERSONS:
-                raise MessageError(f"more than {MOST_PERSONS} persons")
-        self._persons[camera, person] = sender, arrived
