@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from kinecast.body.skeleton import ARM_JOINTS, JOINTS, SKELETONS
 from kinecast.errors import OptionError
 from kinecast.live.message import MOST_JOINTS, MessageError, SkeletonMessage
-from kinecast.ros.frames import point, seconds
-
-__all__ = ["MOST_PERSONS", "JointOrder", "from_markers", "from_poses", "from_zed"]
+from kinecast.ros.tf import point, seconds
 
 MOST_PERSONS = 64
 """In one message."""
@@ -25,21 +24,21 @@ def _names(table: str) -> list[str]:
     return table.split()
 
 
+_KNOWN = {each.name: list(each.joints) for each in SKELETONS}
 # Sources: the ZED SDK's BODY_FORMAT, BODY_18_PARTS, BODY_34_PARTS and BODY_38_PARTS. A name that kinecast does not know
 # is left out.
 _ZED_18 = _names("""
     nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist right_hip right_knee
     right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear""")
-_ZED_34 = list(next(each for each in SKELETONS if each.name == "ZED 34").joints)
 _ZED_38 = _names("""
     pelvis lumbar spine chest neck nose left_eye right_eye left_ear right_ear left_clavicle right_clavicle
     left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hip right_hip left_knee right_knee
     left_ankle right_ankle left_foot right_foot left_small_toe right_small_toe left_heel right_heel left_thumb
     right_thumb left_index right_index left_middle right_middle left_pinky right_pinky""")
-_ZED_FORMATS = {0: _ZED_18, 1: _ZED_34, 2: _ZED_38}
+_ZED_FORMATS = {0: _ZED_18, 1: _KNOWN["ZED 34"], 2: _ZED_38}
 
 
-class JointOrder:
+def joint_order(text: str) -> list[str]:
     """Which joint the k-th position of a message is of.
 
     Args:
@@ -48,28 +47,28 @@ class JointOrder:
     Raises:
         OptionError: it is neither.
     """
-
-    def __init__(self, text: str) -> None:
-        skeleton = next((each for each in SKELETONS if each.name == text), None)
-        self.skeleton = None if skeleton is None else text
-        self.names = list(skeleton.joints) if skeleton else [name.strip() for name in text.split(",")]
-        if skeleton is None and not set(self.names) & set(JOINTS):
-            known = ", ".join(each.name for each in SKELETONS)
-            raise OptionError(f"joints {text!r}: expected a skeleton ({known}) or joints such as left_wrist,left_elbow")
+    names = _KNOWN.get(text) or [name.strip() for name in text.split(",")]
+    if text not in _KNOWN and not set(names) & set(JOINTS):
+        known = ", ".join(_KNOWN)
+        raise OptionError(f"joints {text!r}: expected a skeleton ({known}) or joints such as left_wrist,left_elbow")
+    return names
 
 
-def from_poses(message: Any, order: JointOrder, person: str) -> list[SkeletonMessage]:
+def from_poses(message: Any, order: list[str], person: str) -> list[SkeletonMessage]:
     """One person from a geometry_msgs/PoseArray: a pose a joint, in a stated order."""
-    positions = [point(pose.position) for pose in message.poses]
-    return [_skeleton(message.header, positions, order.names, person)]
+    return [_skeleton(message.header, [point(pose.position) for pose in message.poses], order, person)]
 
 
-def from_markers(message: Any, order: JointOrder | None) -> list[SkeletonMessage]:
+def from_markers(message: Any, order: Sequence[str]) -> list[SkeletonMessage]:
     """Every person in a visualization_msgs/MarkerArray.
 
     A person's markers have one namespace: either a sphere or cube for each joint, whose id is its place in the stated
     order or whose text is its name, or one list of spheres or points in that order. Without a namespace, id // 100 is
     the person and id % 100 the place, as Azure Kinect's driver has it. Other markers are passed over.
+
+    Args:
+        message: as decoded.
+        order: joints; empty where none is stated.
 
     Raises:
         MessageError: nothing says which joint a marker is of, or a person's markers are in several frames.
@@ -84,15 +83,15 @@ def from_markers(message: Any, order: JointOrder | None) -> list[SkeletonMessage
             raise MessageError(f"markers of person {person!r} are in several frames")
         joints = persons.setdefault(person, {})
         if marker.type in (SPHERE_LIST, POINTS):
-            joints |= {_named(order, "", place): point(each) for place, each in enumerate(marker.points)}
+            joints |= {_joint(order, "", place): point(each) for place, each in enumerate(marker.points)}
         else:
             place = marker.id if marker.ns else marker.id % 100
-            joints[_named(order, marker.text, place)] = point(marker.pose.position)
+            joints[_joint(order, marker.text, place)] = point(marker.pose.position)
     if len(persons) > MOST_PERSONS or any(len(joints) > MOST_JOINTS for joints in persons.values()):
         raise MessageError(f"more than {MOST_PERSONS} persons or {MOST_JOINTS} joints")
     found = []
     for person, joints in persons.items():
-        names = order.names if order else list(dict.fromkeys((*joints, *ARM_JOINTS)))
+        names = list(order or dict.fromkeys((*joints, *ARM_JOINTS)))
         found.append(_skeleton(headers[person], [joints.get(name, UNSEEN) for name in names], names, person))
     return found
 
@@ -118,16 +117,17 @@ def from_zed(message: Any) -> list[SkeletonMessage]:
     return found
 
 
-def _named(order: JointOrder | None, text: str, place: int) -> str:
+def _joint(order: Sequence[str], text: str, place: int) -> str:
+    """Which joint a marker is of."""
     if text in JOINTS:
         return text
-    if order is None:
+    if not order:
         raise MessageError(
             "nothing says which joint a marker is of: state joints, or give each its joint's name as text"
         )
-    if not 0 <= place < len(order.names):
-        raise MessageError(f"marker {place} is outside the {len(order.names)} joints that were stated")
-    return order.names[place]
+    if not 0 <= place < len(order):
+        raise MessageError(f"marker {place} is outside the {len(order)} joints that were stated")
+    return order[place]
 
 
 def _skeleton(header: Any, positions: list[Position], names: list[str], person: str) -> SkeletonMessage:

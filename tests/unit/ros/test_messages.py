@@ -10,8 +10,8 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.live.message import MessageError
 from kinecast.ros.dds import idl_type
-from kinecast.ros.incoming import INPUTS
 from kinecast.ros.messages import LARGEST, Distribution, Messages, messages_of
+from kinecast.ros.subscriber import INPUTS
 
 USED = (
     *INPUTS,
