@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,8 +29,7 @@ from kinecast.live.message import MessageError
 from kinecast.live.message_file import labelled_frames, message, recordings_of
 from kinecast.ros.messages import Distribution, Messages, messages_of
 from kinecast.ros.predictions import Fields, points, upright
-from kinecast.ros.skeletons import SPHERE
-from kinecast.ros.subscriber import INPUTS, MARKERS, TF_TYPE, InputOptions, SkeletonSubscriber
+from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
 from kinecast.ros.transport import Callback, Transport
 from kinecast.types import SkeletonFrame
 
@@ -120,15 +119,11 @@ def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[Ske
     if not topic and len(plain) == 1:
         (topic,) = plain
     if topic not in topics:
-        found = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
-        raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {found}")
-    frames: list[SkeletonFrame] = []
-    wrong: list[MessageError] = []
-    for each in _read(path, SkeletonSubscriber(topic, topics[topic], options)):
-        if isinstance(each, MessageError):
-            wrong.append(each)
-        else:
-            frames.append(each)
+        some = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
+        raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {some}")
+    found = list(_read(path, SkeletonSubscriber(topic, topics[topic], options)))
+    frames = [each for each in found if isinstance(each, SkeletonFrame)]
+    wrong = [each for each in found if isinstance(each, MessageError)]
     if not frames:
         raise DatasetError(path, f"no skeleton in {topic}" + (f": {wrong[0]}" if wrong else ""))
     return sorted(frames, key=lambda frame: frame.stamp), len(wrong)
@@ -137,19 +132,17 @@ def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[Ske
 def _read(path: Path, subscriber: SkeletonSubscriber) -> Iterator[SkeletonFrame | MessageError]:
     with _opened(path) as (reader, choices):
         wanted = [each for each in reader.connections if each.topic in subscriber.topics]
-        speaks = {each.id: _speaking(choices, each) for each in wanted}
+        speaks = {each.id: _spoken(choices, each) for each in wanted}
         for count, (connection, _, content) in enumerate(reader.messages(wanted)):
             if count >= MOST_MESSAGES:
                 raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(subscriber.topics)}")
             yield from subscriber.read(speaks[connection.id], connection.topic, content)
 
 
-def _speaking(choices: Sequence[Messages], connection: Any) -> Messages:
+def _spoken(choices: Sequence[Messages], connection: Any) -> Messages:
     """The definitions a connection was written by: those of its hash, else the oldest."""
-    name = connection.msgtype
-    return next(
-        (each for each in choices if each.knows(name) and each.definition(name)[1] == connection.digest), choices[0]
-    )
+    name, digest = connection.msgtype, connection.digest
+    return next((each for each in choices if each.knows(name) and each.definition(name)[1] == digest), choices[0])
 
 
 @contextmanager
@@ -193,7 +186,6 @@ class BagWriter(Transport):
             if first
             else partial(Writer2, path, version=version, storage_plugin=STORAGES[storage])
         )
-        self._writer: Any = None
         self._connections: dict[str, Any] = {}
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
@@ -213,7 +205,6 @@ class BagWriter(Transport):
         Raises:
             OSError: the bag cannot be written.
         """
-        self._open()
         if topic not in self._connections:
             store = self.messages.store
             self._connections[topic] = self._writer.add_connection(topic, normalize_msgtype(type_), typestore=store)
@@ -221,10 +212,10 @@ class BagWriter(Transport):
 
     def close(self) -> None:
         """Makes the bag whole."""
-        self._open()
         self._writer.close()
 
-    def _open(self) -> None:
-        if self._writer is None:
-            self._writer = self._make()
-            self._writer.open()
+    @cached_property
+    def _writer(self) -> Any:
+        writer = self._make()
+        writer.open()
+        return writer

@@ -1,9 +1,6 @@
 """Bytes of ROS messages, by the definitions of a distribution: the wire format of ROS 1 or CDR, made by rosbags.
 
-Definitions of common packages are those of rosbags. Those of moveit_msgs and its dependencies, of tf2_msgs and of the
-ZED camera are in `definitions/`, fields only; kinecast's own package is `kinecast_msgs/`. Sources: moveit/moveit_msgs,
-OctoMap/octomap_msgs, wg-perception/object_recognition_msgs, ros/geometry2, stereolabs/zed-ros-interfaces and
-zed-ros2-interfaces.
+Definitions of common packages are those of rosbags, others are in `definitions/`, kinecast's own in `kinecast_msgs/`.
 """
 
 from __future__ import annotations
@@ -54,17 +51,14 @@ def messages_of(distribution: Distribution) -> Messages:
 
 
 class Messages:
-    """Bytes from fields, and objects from bytes.
-
-    Args:
-        distribution: whose definitions are used.
-    """
+    """Bytes from fields, and objects from bytes, by the definitions of a distribution."""
 
     def __init__(self, distribution: Distribution) -> None:
         self.distribution = distribution
         self.store: Typestore = get_typestore(Stores[f"ROS{distribution.generation}_{distribution.name}"])
         self.store.max_sequence_length = LONGEST
         self.store.register(_definitions(distribution.generation))
+        self._known: dict[str, dict[str, tuple[Any, Any]]] = {}  # of each type, its fields: kind, and empty value
         if distribution.generation == 1:
             self._serialize, self._deserialize = self.store.serialize_ros1, self.store.deserialize_ros1
         else:
@@ -118,25 +112,38 @@ class Messages:
 
     def _object(self, name: str, fields: Mapping[str, Any]) -> Any:
         """rosbags' object of a message."""
-        definition = dict(self.store.fielddefs[name][1])
-        if unknown := fields.keys() - definition.keys():
+        if name not in self._known:
+            kinds = dict(self.store.fielddefs[name][1])
+            self._known[name] = {field: (kind, self._value(kind, _left_out(kind))) for field, kind in kinds.items()}
+        known = self._known[name]
+        if unknown := fields.keys() - known.keys():
             raise KeyError(f"{name} has no {', '.join(sorted(unknown))}")
-        return self.store.types[name](*[self._value(kind, fields.get(field)) for field, kind in definition.items()])
+        return self.store.types[name](*[
+            self._value(kind, fields[field]) if field in fields else empty for field, (kind, empty) in known.items()
+        ])  # fmt: skip
 
     def _value(self, kind: Any, value: Any) -> Any:
-        """A field of rosbags' object; None is what was left out."""
+        """A field of rosbags' object."""
         node, of = kind
-        if node == Nodetype.NAME:
-            return self._object(of, _clock(value or 0.0) if of in _CLOCKS else value or {})
         if node == Nodetype.BASE:
-            plain = _PLAIN.get(of[0], int)
-            return plain() if value is None else plain(value)
-        (part, bare), length = of
-        length = length if node == Nodetype.ARRAY else 0
-        if part == Nodetype.NAME or bare[0] == "string":
-            return [self._value((part, bare), each) for each in ([None] * length if value is None else value)]
-        dtype = "uint8" if bare[0] in ("byte", "char") else bare[0]
-        return np.zeros(length, dtype) if value is None else np.asarray(value, dtype)
+            return value
+        if node == Nodetype.NAME:
+            return self._object(of, _clock(value) if of in _CLOCKS else value)
+        part, _ = of
+        if part[0] == Nodetype.NAME or part[1][0] == "string":
+            return [self._value(part, each) for each in value]
+        return np.asarray(value, "uint8" if part[1][0] in ("byte", "char") else part[1][0])
+
+
+def _left_out(kind: Any) -> Any:
+    """What a field is where nothing is given."""
+    node, of = kind
+    if node == Nodetype.NAME:
+        return 0.0 if of in _CLOCKS else {}
+    if node == Nodetype.BASE:
+        return _PLAIN.get(of[0], int)()
+    part, length = of
+    return [_left_out(part)] * (length if node == Nodetype.ARRAY else 0)
 
 
 def _clock(seconds: float) -> dict[str, int]:

@@ -62,11 +62,7 @@ class _Object(NamedTuple):
 
 
 class CollisionObjects:
-    """The objects of every person in view.
-
-    Args:
-        options: see there.
-    """
+    """The objects of every person in view."""
 
     def __init__(self, options: SceneOptions) -> None:
         self._options = options
@@ -81,8 +77,7 @@ class CollisionObjects:
             stamp: for the headers [s].
             now, expires: when it is, and when what is predicted has passed [s], on one clock.
         """
-        frame = publication.frame.frame_id
-        changes = []
+        frame, changes = publication.frame.frame_id, []
         for name, ends, radius in self._capsules(publication):
             id_ = f"kinecast_{person}_{name}"
             length = float(np.linalg.norm(ends[1] - ends[0]))

@@ -66,9 +66,6 @@ class PredictionPublisher:
     """Turns predictions into messages, and remembers what must be deleted.
 
     All times are [s] on one clock of this machine that never jumps, but for `ros_now`.
-
-    Args:
-        options: see there.
     """
 
     def __init__(self, options: OutputOptions) -> None:

@@ -16,9 +16,10 @@ from jaxtyping import Float
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.transforms import apply, rotation_x, rotation_y, rotation_z
 from kinecast.live.message import MessageError, SkeletonMessage
-from kinecast.ros.skeletons import MOST_PERSONS, UNSEEN, Position
-from kinecast.ros.tf import STALE, TransformTree, seconds
+from kinecast.ros.tf import STALE, UNSEEN, Position, TransformTree, seconds
 
+MOST_PERSONS = 64
+"""In one message, or begun."""
 _SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 FRAMES = {"body": "pelvis", "torso": "collar", "head": "head"} | {
     f"{side[0]}_{joint}": f"{side}_{joint}" for side in ("left", "right") for joint in _SIDED

@@ -19,12 +19,16 @@ STALE = 0.5
 """A transform that is older than what it is applied to by more than this [s] is not used."""
 
 
+Position = list[float | None]
+UNSEEN: Position = [None, None, None]
+
+
 def seconds(clock: Any) -> float:
     """A ROS time or duration [s]."""
     return float(clock.sec) + 1e-9 * float(clock.nanosec)
 
 
-def point(xyz: Any) -> list[float | None]:
+def point(xyz: Any) -> Position:
     """x, y, z of anything that has them [m]."""
     return [float(xyz.x), float(xyz.y), float(xyz.z)]
 

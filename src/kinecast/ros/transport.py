@@ -27,11 +27,7 @@ LOOK = 0.5
 
 
 class Transport(ABC):
-    """Carries bytes between topics.
-
-    Args:
-        messages: the definitions it speaks.
-    """
+    """Carries bytes between topics, in the definitions of `messages`."""
 
     def __init__(self, messages: Messages) -> None:
         self.messages = messages
@@ -69,15 +65,7 @@ class Transport(ABC):
 
 
 class RosSource:
-    """Skeletons from topics.
-
-    Args:
-        address: for messages.
-        feed: where bad messages are counted.
-        subscriber: reads messages.
-        transport: is closed with the source.
-        admission: takes the frames.
-    """
+    """Skeletons from topics, to an admission; bad messages are counted in the feed. It closes its transport."""
 
     def __init__(
         self, address: str, feed: Feed, subscriber: SkeletonSubscriber, transport: Transport, admission: Admission
@@ -115,12 +103,12 @@ class RosSource:
 
 
 class RosSink:
-    """Predictions on topics, from a thread of its own that also deletes what has expired.
+    """Predictions on topics, from a thread of its own that also deletes what has expired. It closes its transport.
 
     Args:
         address: for messages.
         publisher: makes the messages.
-        transport: is closed with the sink.
+        transport: sends them.
         room: publications that may wait; the oldest of more are dropped and counted.
     """
 
@@ -160,25 +148,19 @@ class RosSink:
         ended = False
         while not ended:
             with suppress(queue.Empty):
-                publication = self._waiting.get(timeout=self._patience())
-                ended = publication is None
-                if publication is not None:
-                    self._count(publication, self._attempts.succeeds(self._tell, publication))
+                patience = max(self._publisher.next_expiry - time.monotonic(), 0.0)
+                publication = self._waiting.get(timeout=min(patience, LOOK))
+                if publication is None:
+                    ended = True
+                elif self._attempts.succeeds(self._tell, publication):
+                    self.tally.sent(time.monotonic() - publication.acquired)
+                else:
+                    self.tally.dropped += 1
             self._attempts.succeeds(self._send, self._publisher.take_back(math.inf if ended else time.monotonic()))
         try:
             self._transport.close()
         except Exception as error:
             self._attempts.fail(error)
-
-    def _patience(self) -> float:
-        """How long to wait for a publication [s]."""
-        return min(max(self._publisher.next_expiry - time.monotonic(), 0.0), LOOK)
-
-    def _count(self, publication: Publication, sent: bool) -> None:
-        if sent:
-            self.tally.sent(time.monotonic() - publication.acquired)
-        else:
-            self.tally.dropped += 1
 
     def _tell(self, publication: Publication) -> None:
         self._send(self._publisher.tell(publication, time.monotonic(), self._transport.now()))
