@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,7 +27,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 from kinecast.live.message import MessageError
 from kinecast.live.message_file import labelled_frames, message, recordings_of
-from kinecast.ros.messages import Distribution, Messages, messages_of
+from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.predictions import Fields, points, upright
 from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
 from kinecast.ros.transport import Callback, Transport
@@ -97,7 +97,7 @@ def skeleton_topics(path: Path) -> dict[str, str]:
     Raises:
         DatasetError: it is no bag, or a damaged one.
     """
-    with _opened(path) as (reader, _):
+    with _opened(path) as reader:
         types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
     return {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
 
@@ -130,33 +130,31 @@ def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[Ske
 
 
 def _read(path: Path, subscriber: SkeletonSubscriber) -> Iterator[SkeletonFrame | MessageError]:
-    with _opened(path) as (reader, choices):
+    # Humble's definitions of what is read are Jazzy's
+    messages = messages_of(Distribution.NOETIC if _is_first(path) else Distribution.JAZZY)
+    with _opened(path) as reader:
         wanted = [each for each in reader.connections if each.topic in subscriber.topics]
-        speaks = {each.id: _spoken(choices, each) for each in wanted}
         for count, (connection, _, content) in enumerate(reader.messages(wanted)):
             if count >= MOST_MESSAGES:
                 raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(subscriber.topics)}")
-            yield from subscriber.read(speaks[connection.id], connection.topic, content)
-
-
-def _spoken(choices: Sequence[Messages], connection: Any) -> Messages:
-    """The definitions a connection was written by: those of its hash, else the oldest."""
-    name, digest = connection.msgtype, connection.digest
-    return next((each for each in choices if each.knows(name) and each.definition(name)[1] == digest), choices[0])
+            yield from subscriber.read(messages, connection.topic, content)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, list[Messages]]]:
-    """A reader, and the definitions its messages may be of; whatever goes wrong in it is a DatasetError."""
-    first = path.suffix == ".bag"
-    choices = [messages_of(each) for each in Distribution if each.generation == (1 if first else 2)]
+def _opened(path: Path) -> Iterator[Any]:
+    """A reader; whatever goes wrong in it is a DatasetError."""
     try:
-        with (Reader1 if first else Reader2)(path) as reader:
-            yield reader, choices
+        with (Reader1 if _is_first(path) else Reader2)(path) as reader:
+            yield reader
     except (DatasetError, OptionError):
         raise
     except Exception as error:  # a reader of damaged files raises anything
         raise DatasetError(path, f"no bag that can be read ({type(error).__name__}: {str(error)[:200]})") from None
+
+
+def _is_first(path: Path) -> bool:
+    """Whether a bag is of ROS 1."""
+    return path.suffix == ".bag"
 
 
 class BagWriter(Transport):
@@ -172,20 +170,14 @@ class BagWriter(Transport):
     """
 
     def __init__(self, path: Path, distribution: Distribution, storage: str) -> None:
-        first = path.suffix == ".bag"
-        super().__init__(messages_of(Distribution.NOETIC if first else distribution))
+        super().__init__(messages_of(Distribution.NOETIC if _is_first(path) else distribution))
         if path.exists():
             raise OptionError(f"{path}: is there already; a bag is never replaced")
         if not os.access(path.absolute().parent, os.W_OK | os.X_OK):
             raise OptionError(f"{path}: there is no folder {path.absolute().parent} that can be written to")
-        if not first and storage not in STORAGES:
+        if not _is_first(path) and storage not in STORAGES:
             raise OptionError(f"storage {storage!r}: expected {' or '.join(STORAGES)}")
-        version: Literal[8, 9] = 8 if distribution is Distribution.HUMBLE else 9
-        self._make = (
-            partial(Writer1, path)
-            if first
-            else partial(Writer2, path, version=version, storage_plugin=STORAGES[storage])
-        )
+        self._path, self._distribution, self._storage = path, distribution, storage
         self._connections: dict[str, Any] = {}
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
@@ -216,6 +208,10 @@ class BagWriter(Transport):
 
     @cached_property
     def _writer(self) -> Any:
-        writer = self._make()
+        if _is_first(self._path):
+            writer: Any = Writer1(self._path)
+        else:
+            version: Literal[8, 9] = 8 if self._distribution is Distribution.HUMBLE else 9
+            writer = Writer2(self._path, version=version, storage_plugin=STORAGES[self._storage])
         writer.open()
         return writer

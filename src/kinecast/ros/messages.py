@@ -64,10 +64,6 @@ class Messages:
         else:
             self._serialize, self._deserialize = self.store.serialize_cdr, self.store.deserialize_cdr
 
-    def knows(self, type_: str) -> bool:
-        """Whether there is a definition of `package/Type`."""
-        return "/" in type_ and normalize_msgtype(type_) in self.store.fielddefs
-
     def encode(self, type_: str, fields: Mapping[str, Any]) -> bytes:
         """A message.
 
@@ -105,10 +101,8 @@ class Messages:
         self.decode(type_, self.encode(type_, {}))
 
     def definition(self, type_: str) -> tuple[str, str]:
-        """Text of a message's definition with all it is made of, and its hash: MD5 in ROS 1, RIHS01 in ROS 2."""
-        name = normalize_msgtype(type_)
-        text, md5 = self.store.generate_msgdef(name, ros_version=self.distribution.generation)
-        return text, md5 if self.distribution.generation == 1 else self.store.hash_rihs01(name)
+        """Text of a message's definition with all it is made of, and its MD5, as of ROS 1."""
+        return self.store.generate_msgdef(normalize_msgtype(type_))
 
     def _object(self, name: str, fields: Mapping[str, Any]) -> Any:
         """rosbags' object of a message."""
