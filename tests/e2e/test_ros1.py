@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -47,15 +48,17 @@ def ros(debian: Callable[..., None], tmp_path_factory: pytest.TempPathFactory) -
     """The environment of nodes beside a running roscore."""
 
     def missing() -> bool:
-        there = shutil.which("roscore") and Path(PYTHON).exists()
-        return not there or subprocess.run((PYTHON, "-c", NEEDED), capture_output=True, check=False).returncode != 0
+        if not shutil.which("roscore") or not Path(PYTHON).exists():
+            return True
+        return subprocess.run((PYTHON, "-c", NEEDED), capture_output=True, timeout=LONG, check=False).returncode != 0
 
     if missing():
         debian(*PACKAGES)
     if missing():
         pytest.skip("no ROS 1, and Debian's packages could not be installed with apt-get")
     importing = (sys.executable, "-c", "import sys; sys.path.append('/usr/lib/python3/dist-packages'); import rospy")
-    if (done := subprocess.run(importing, capture_output=True, text=True, check=False)).returncode != 0:
+    done = subprocess.run(importing, capture_output=True, text=True, timeout=LONG, check=False)
+    if done.returncode != 0:
         pytest.skip(f"the system's rospy is not of this Python: {done.stderr.splitlines()[-1]}")
     home, port = tmp_path_factory.mktemp("ros"), free_port()
     environment = {
@@ -67,18 +70,24 @@ def ros(debian: Callable[..., None], tmp_path_factory: pytest.TempPathFactory) -
     core = subprocess.Popen(
         ("roscore", "-p", str(port)), env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
-    end = time.monotonic() + LONG
-    while True:
+    try:
+        end = time.monotonic() + LONG
+        while True:
+            try:
+                socket.create_connection(("localhost", port), timeout=1).close()
+                break
+            except OSError:
+                assert core.poll() is None
+                assert time.monotonic() < end
+                time.sleep(0.1)
+        yield {name: value for name, value in environment.items() if name != "PATH"}
+    finally:
+        core.terminate()
         try:
-            socket.create_connection(("localhost", port), timeout=1).close()
-            break
-        except OSError:
-            assert core.poll() is None
-            assert time.monotonic() < end
-            time.sleep(0.1)
-    yield {name: value for name, value in environment.items() if name != "PATH"}
-    core.terminate()
-    core.wait(LONG)
+            core.wait(60.0)
+        except subprocess.TimeoutExpired:
+            core.kill()
+            core.wait(LONG)
 
 
 class Peer:
@@ -107,20 +116,21 @@ class Peer:
             assert self.beside is None or self.beside.poll() is None, self.beside.communicate()[0]
             if again:
                 again()
-            try:
-                heard = self._heard.get(timeout=0.1 if again else 1.0)
-                while not wanted(heard):
-                    heard = self._heard.get(timeout=0.1 if again else 1.0)
-            except queue.Empty:
-                continue
-            return heard["message"]
+            soon = time.monotonic() + (0.1 if again else 1.0)
+            while (left := soon - time.monotonic()) > 0:
+                with suppress(queue.Empty):
+                    if wanted(heard := self._heard.get(timeout=left)):
+                        return heard["message"]
         pytest.fail("what was waited for did not come")
 
     def close(self) -> None:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
-        self._process.wait(LONG)
+        try:
+            self._process.wait(60.0)
+        finally:
+            self._process.kill()
         self._listener.join(LONG)
         self._process.stdout.close()
 
@@ -247,7 +257,7 @@ def test_skeletons_in_and_predictions_out(start: Callable[..., Any], ros: dict[s
 
 def test_without_a_master_it_says_so(ros: dict[str, str]) -> None:
     environment = os.environ | ros | {"ROS_MASTER_URI": f"http://localhost:{free_port()}"}
-    opening = "from kinecast.ros.ros1 import Ros1Carrier; Ros1Carrier()"
+    opening = "from kinecast.ros.ros1 import Ros1Transport; Ros1Transport()"
     done = subprocess.run(
         (sys.executable, "-c", opening), env=environment, capture_output=True, text=True, timeout=LONG, check=False
     )

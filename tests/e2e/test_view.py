@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -33,11 +34,14 @@ def view(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
         (*COMMAND, *arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
     assert process.stdout is not None
+    late = threading.Timer(LONG, process.kill)
+    late.start()
     for line in process.stdout:
         if found := re.match(r"view: (http://127\.0\.0\.1:\d+) ", line):
             break
     else:
         pytest.fail(f"it ended with {process.wait(LONG)} and no address")
+    late.cancel()
     yield process, found[1]
     if process.poll() is None:
         process.kill()
@@ -84,9 +88,8 @@ def test_the_cell_is_seen_played_and_scrubbed(
     finally:
         page.close()
     process.send_signal(signal.SIGINT)
-    assert process.stdout is not None
-    rest = process.stdout.read()
-    assert process.wait(LONG) == 0, rest
+    rest, _ = process.communicate(timeout=LONG)
+    assert process.returncode == 0, rest
     assert "Traceback" not in rest
     assert list(tmp_path.iterdir()) == [tmp_path / "profile"]  # it writes nothing it was not told to
 

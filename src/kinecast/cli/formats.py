@@ -62,7 +62,7 @@ def _write(module: str, path: Path, recordings: Sequence[Recording]) -> None:
 
 def _ros() -> ModuleType:
     """The module that reads and writes bags, which needs an extra."""
-    return importlib.import_module("kinecast.ros.bag_recordings")
+    return importlib.import_module("kinecast.ros.bags")
 
 
 def _load_bag(path: Path) -> list[Recording]:

@@ -13,14 +13,17 @@ from kinecast.live.settings import number, whole_number
 from kinecast.live.sinks import MOST_WAITING, Sink
 from kinecast.live.sources import Source
 from kinecast.ros.bags import BagWriter, read_frames
-from kinecast.ros.carrier import Carrier, RosSink, RosSource
-from kinecast.ros.dds import DdsCarrier
-from kinecast.ros.incoming import TF_TYPE, Incoming, InputOptions, input_type
+from kinecast.ros.dds import DdsTransport as DdsCarrier
 from kinecast.ros.messages import Distribution
-from kinecast.ros.outgoing import OUTPUTS, Outgoing, OutputOptions
 from kinecast.ros.planning_scene import SceneOptions
-from kinecast.ros.ros1 import Ros1Carrier
-from kinecast.ros.ros2 import Ros2Carrier
+from kinecast.ros.publisher import OUTPUTS, OutputOptions
+from kinecast.ros.publisher import PredictionPublisher as Outgoing
+from kinecast.ros.ros1 import Ros1Transport as Ros1Carrier
+from kinecast.ros.ros2 import Ros2Transport as Ros2Carrier
+from kinecast.ros.subscriber import TF_TYPE, InputOptions, input_type
+from kinecast.ros.subscriber import SkeletonSubscriber as Incoming
+from kinecast.ros.transport import RosSink, RosSource
+from kinecast.ros.transport import Transport as Carrier
 from kinecast.types import SkeletonFrame
 
 ROOM = 8

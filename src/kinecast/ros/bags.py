@@ -1,19 +1,21 @@
 """Bags of both generations, by rosbags: skeletons are read from them, predictions and recordings written into them.
 
-Nothing in a bag is trusted: messages are read by this project's own definitions, never by those that a bag brings.
+Nothing in a bag is trusted: messages are read by this project's own definitions, never by those that a bag brings. A
+recording is a MarkerArray for each frame of a person, with a sphere for each joint, named by its text.
 """
 
 from __future__ import annotations
 
 import math
 import os
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Reader as Reader2
@@ -21,24 +23,72 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 
+from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 from kinecast.live.message import MessageError
-from kinecast.ros.carrier import Taker
-from kinecast.ros.incoming import INPUTS, TF_TYPE, Incoming, InputOptions
-from kinecast.ros.messages import Distribution, Messages, messages_of
+from kinecast.live.message_file import labelled_frames, message, recordings_of
+from kinecast.ros.messages import Distribution, messages_of
+from kinecast.ros.predictions import Fields, points, upright
+from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
+from kinecast.ros.transport import Callback, Transport
 from kinecast.types import SkeletonFrame
-
-__all__ = ["BagWriter", "is_bag", "read_frames", "skeleton_topics"]
 
 MOST_MESSAGES = 5_000_000
 """Read from one bag."""
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 """Of rosbag2."""
+SKELETONS = "/skeletons"
+"""Topic of a recording's frames."""
+FRAME, DIAMETER = "world", 0.05
+LATEST = 2.0**31
+"""The first time that ROS 2 cannot say [s]."""
 
 
-def is_bag(path: Path) -> bool:
-    """Whether a path is a bag: `.bag`, or a folder with rosbag2's `metadata.yaml`, or a `.db3` file."""
-    return path.suffix in (".bag", ".db3") if path.is_file() else (path / "metadata.yaml").is_file()
+def load(path: Path) -> list[Recording]:
+    """One recording for each person on `/skeletons`, else on the only topic that skeletons are read from.
+
+    Raises:
+        DatasetError: no bag, a damaged one, or one that does not say which joint is which.
+    """
+    topic = SKELETONS if SKELETONS in skeleton_topics(path) else ""
+    frames, _ = read_frames(path, topic, InputOptions())
+    latest: dict[str, float] = {}
+    messages = []
+    for frame in frames:
+        if frame.stamp > latest.get(frame.person, -np.inf):  # else it came twice
+            latest[frame.person] = frame.stamp
+            messages.append((str(path), message(frame, None)))
+    found = recordings_of(messages, path, "bag")
+    return [replace(each, rate=float(f"{each.rate:.6g}")) for each in found]  # not what nanoseconds make of it
+
+
+def write(path: Path, recordings: Sequence[Recording]) -> None:
+    """Writes recordings of different persons: for ROS 1 where the path ends in `.bag`, else a folder for ROS 2.
+
+    Stamps go to the nanosecond; names, rates, subjects, tasks, labels and notes are lost.
+
+    Raises:
+        DatasetError: stamps that ROS cannot say.
+        OptionError: there is something at the path.
+    """
+    for recording in recordings:
+        if len(recording.stamps) and not 0 <= recording.stamps.min() <= recording.stamps.max() < LATEST:
+            raise DatasetError(recording.name, f"ROS can say stamps from 0 to {LATEST:.0f} s only")
+    writer = BagWriter(path, Distribution.JAZZY, "mcap")
+    try:
+        for frame, _ in labelled_frames(recordings):
+            writer.write(SKELETONS, MARKERS, writer.messages.encode(MARKERS, _markers(frame)), frame.stamp)
+    finally:
+        writer.close()
+
+
+def _markers(frame: SkeletonFrame) -> Fields:
+    common = {
+        "header": {"stamp": frame.stamp, "frame_id": FRAME}, "ns": frame.person, "type": SPHERE,
+        "scale": dict.fromkeys("xyz", DIAMETER), "color": dict.fromkeys("rgba", 1.0), "lifetime": 0.5,
+    }  # fmt: skip
+    placed = enumerate(zip(frame.joints, points(frame.positions), strict=True))
+    return {"markers": [common | {"id": id_, "text": joint, "pose": upright(at)} for id_, (joint, at) in placed]}
 
 
 def skeleton_topics(path: Path) -> dict[str, str]:
@@ -47,7 +97,7 @@ def skeleton_topics(path: Path) -> dict[str, str]:
     Raises:
         DatasetError: it is no bag, or a damaged one.
     """
-    with _opened(path) as (reader, _):
+    with _opened(path) as reader:
         types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
     return {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
 
@@ -65,56 +115,50 @@ def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[Ske
         OptionError: options that do not fit the type of the messages.
     """
     topics = skeleton_topics(path)
-    plain = {each: type_ for each, type_ in topics.items() if type_ != TF_TYPE} or dict.fromkeys(topics, TF_TYPE)
+    plain = [each for each, type_ in topics.items() if type_ != TF_TYPE] or list(topics)
     if not topic and len(plain) == 1:
         (topic,) = plain
     if topic not in topics:
-        found = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
-        raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {found}")
-    incoming = Incoming(topic, topics[topic], options)
-    frames: list[SkeletonFrame] = []
-    wrong: list[MessageError] = []
-    for each in _read(path, incoming):
-        (wrong if isinstance(each, MessageError) else frames).append(each)  # type: ignore[arg-type]
+        some = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
+        raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {some}")
+    found = list(_read(path, SkeletonSubscriber(topic, topics[topic], options)))
+    frames = [each for each in found if isinstance(each, SkeletonFrame)]
+    wrong = [each for each in found if isinstance(each, MessageError)]
     if not frames:
         raise DatasetError(path, f"no skeleton in {topic}" + (f": {wrong[0]}" if wrong else ""))
     return sorted(frames, key=lambda frame: frame.stamp), len(wrong)
 
 
-def _read(path: Path, incoming: Incoming) -> Iterator[SkeletonFrame | MessageError]:
-    with _opened(path) as (reader, choices):
-        wanted = [each for each in reader.connections if each.topic in incoming.topics]
-        speaks = {each.id: _speaking(choices, each) for each in wanted}
+def _read(path: Path, subscriber: SkeletonSubscriber) -> Iterator[SkeletonFrame | MessageError]:
+    # Humble's definitions of what is read are Jazzy's
+    messages = messages_of(Distribution.NOETIC if _is_first(path) else Distribution.JAZZY)
+    with _opened(path) as reader:
+        wanted = [each for each in reader.connections if each.topic in subscriber.topics]
         for count, (connection, _, content) in enumerate(reader.messages(wanted)):
             if count >= MOST_MESSAGES:
-                raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(incoming.topics)}")
-            yield from incoming.read_bytes(speaks[connection.id], connection.topic, content)
-
-
-def _speaking(choices: tuple[Messages, ...], connection: Any) -> Messages:
-    """The definitions a connection was written by: those of its hash, else the oldest."""
-    name = connection.msgtype
-    return next(
-        (each for each in choices if each.knows(name) and each.definition(name)[1] == connection.digest), choices[0]
-    )
+                raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(subscriber.topics)}")
+            yield from subscriber.read(messages, connection.topic, content)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, tuple[Messages, ...]]]:
-    """A reader, and the definitions its messages may be of; whatever goes wrong in it is a DatasetError."""
-    first = path.suffix == ".bag"
-    distributions = [each for each in Distribution if each.generation == (1 if first else 2)]
+def _opened(path: Path) -> Iterator[Any]:
+    """A reader; whatever goes wrong in it is a DatasetError."""
     try:
-        with (Reader1 if first else Reader2)(path) as reader:
-            yield reader, tuple(map(messages_of, distributions))
+        with (Reader1 if _is_first(path) else Reader2)(path) as reader:
+            yield reader
     except (DatasetError, OptionError):
         raise
     except Exception as error:  # a reader of damaged files raises anything
         raise DatasetError(path, f"no bag that can be read ({type(error).__name__}: {str(error)[:200]})") from None
 
 
-class BagWriter:
-    """Writes messages into a bag: a Carrier that only publishes. It is opened by the thread that writes first.
+def _is_first(path: Path) -> bool:
+    """Whether a bag is of ROS 1."""
+    return path.suffix == ".bag"
+
+
+class BagWriter(Transport):
+    """Writes messages into a bag, and subscribes to nothing. It is opened by the thread that writes first.
 
     Args:
         path: a file that ends in `.bag` for ROS 1, else a folder for ROS 2; neither may be there.
@@ -126,59 +170,48 @@ class BagWriter:
     """
 
     def __init__(self, path: Path, distribution: Distribution, storage: str) -> None:
-        first = path.suffix == ".bag"
-        self.messages = messages_of(Distribution.NOETIC if first else distribution)
+        super().__init__(messages_of(Distribution.NOETIC if _is_first(path) else distribution))
         if path.exists():
             raise OptionError(f"{path}: is there already; a bag is never replaced")
         if not os.access(path.absolute().parent, os.W_OK | os.X_OK):
             raise OptionError(f"{path}: there is no folder {path.absolute().parent} that can be written to")
-        if not first and storage not in STORAGES:
+        if not _is_first(path) and storage not in STORAGES:
             raise OptionError(f"storage {storage!r}: expected {' or '.join(STORAGES)}")
-        version: Literal[8, 9] = 8 if distribution is Distribution.HUMBLE else 9
-        self._make = (
-            partial(Writer1, path)
-            if first
-            else partial(Writer2, path, version=version, storage_plugin=STORAGES[storage])
-        )
-        self._writer: Any = None
+        self._path, self._distribution, self._storage = path, distribution, storage
         self._connections: dict[str, Any] = {}
 
-    def subscribe(self, topic: str, type_: str, take: Taker) -> None:
-        """See Carrier; nothing comes."""
+    def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
+        """Nothing comes."""
 
-    def advertise(self, topic: str, type_: str) -> None:
-        """See Carrier; a topic is in the bag once it has a message."""
-
-    def publish(self, topic: str, type_: str, content: bytes) -> None:
-        """See Carrier; it is written as received now."""
-        self.write(topic, type_, content, self.now())
+    def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
+        """A topic is in the bag once it has a message."""
+        return lambda content: self.write(topic, type_, content, self.now())
 
     def write(self, topic: str, type_: str, content: bytes, received: float) -> None:
         """Writes a message.
 
         Args:
-            topic, type_, content: see Carrier.
+            topic, type_, content: see Transport.
             received: when [s].
 
         Raises:
             OSError: the bag cannot be written.
         """
-        self._open()
         if topic not in self._connections:
             store = self.messages.store
             self._connections[topic] = self._writer.add_connection(topic, normalize_msgtype(type_), typestore=store)
         self._writer.write(self._connections[topic], math.floor(received * 1e9), content)
 
-    def now(self) -> float:
-        """See Carrier: the time of this machine."""
-        return time.time()
-
     def close(self) -> None:
         """Makes the bag whole."""
-        self._open()
         self._writer.close()
 
-    def _open(self) -> None:
-        if self._writer is None:
-            self._writer = self._make()
-            self._writer.open()
+    @cached_property
+    def _writer(self) -> Any:
+        if _is_first(self._path):
+            writer: Any = Writer1(self._path)
+        else:
+            version: Literal[8, 9] = 8 if self._distribution is Distribution.HUMBLE else 9
+            writer = Writer2(self._path, version=version, storage_plugin=STORAGES[self._storage])
+        writer.open()
+        return writer

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import threading
-import time
+from collections.abc import Callable
 from typing import Any
 
 from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
@@ -24,10 +24,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.errors import OptionError
-from kinecast.ros.carrier import Taker
 from kinecast.ros.messages import Distribution, Messages, messages_of
-
-__all__ = ["DdsCarrier", "idl_type", "participant", "reader_qos", "topic_name", "writer_qos"]
+from kinecast.ros.transport import Callback, Transport
 
 MOST_AT_ONCE = 64
 LOOK = 0.2
@@ -36,11 +34,20 @@ LOOPBACK = "127.0.0.1"
 PARTICIPANTS = 32
 """Others on this machine that are looked for without multicast."""
 
+_CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
+_RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
+WRITER = Qos(_RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(10), _CDR)
+"""As rclcpp's default: reliable, volatile, keeps the last 10; plain CDR."""
+READER = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(100), _CDR)
+"""As rclcpp's sensor data, which matches every publisher."""
+STATIC_READER = Qos(_RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(100), _CDR)
+"""Of /tf_static whatever was said before is wanted too."""
+
 _domains: dict[int, tuple[str, Domain]] = {}
 _lock = threading.Lock()
 
 
-class DdsCarrier:
+class DdsTransport(Transport):
     """A participant of a DDS domain.
 
     Args:
@@ -53,108 +60,68 @@ class DdsCarrier:
     """
 
     def __init__(self, distribution: Distribution, domain: int, network: str = "") -> None:
-        self.messages = messages_of(distribution)
+        super().__init__(messages_of(distribution))
         self._participant = participant(domain, network)
-        self._writers: dict[str, DataWriter[Any]] = {}
-        self._readers: list[tuple[DataReader[Any], str, Taker]] = []
+        self._readers: list[tuple[DataReader[Any], str, Callback]] = []
         self._waiting = WaitSet(self._participant)
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
-        self._classes: dict[str, type] = {}
 
-    def subscribe(self, topic: str, type_: str, take: Taker) -> None:
-        """See Carrier."""
-        reader = DataReader(self._participant, self._topic(topic, type_), qos=reader_qos(topic))
+    def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
+        qos = STATIC_READER if topic == "/tf_static" else READER
+        reader = DataReader(self._participant, self._topic(topic, self._message_class(type_)), qos=qos)
         state = SampleState.Any | ViewState.Any | InstanceState.Any
         self._waiting.attach(ReadCondition(reader, state))
-        self._readers.append((reader, topic, take))
+        self._readers.append((reader, topic, callback))
         if self._thread is None:
             self._thread = threading.Thread(target=self._read, name="dds", daemon=True)
             self._thread.start()
 
-    def advertise(self, topic: str, type_: str) -> None:
-        """See Carrier."""
-        if topic not in self._writers:
-            self._writers[topic] = DataWriter(self._participant, self._topic(topic, type_), qos=writer_qos())
+    def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
+        class_ = self._message_class(type_)
+        writer = DataWriter(self._participant, self._topic(topic, class_), qos=WRITER)
 
-    def publish(self, topic: str, type_: str, content: bytes) -> None:
-        """See Carrier."""
-        self.advertise(topic, type_)
-        try:
-            self._writers[topic].write(self._class(type_)(content))
-        except DDSException as error:
-            raise OSError(str(error)) from None
+        def publish(content: bytes) -> None:
+            try:
+                writer.write(class_(content))
+            except DDSException as error:
+                raise OSError(str(error)) from None
 
-    def now(self) -> float:
-        """See Carrier: the time of this machine."""
-        return time.time()
+        return publish
 
     def close(self) -> None:
-        """See Carrier."""
         self._ended.set()
         if self._thread:
             self._thread.join()
         self._readers.clear()
-        self._writers.clear()
+        self._publishers.clear()
 
     def _read(self) -> None:
         while not self._ended.is_set():
             self._waiting.wait(duration(seconds=LOOK))
-            for reader, topic, take in self._readers:
+            for reader, topic, callback in self._readers:
                 for sample in reader.take(MOST_AT_ONCE):
                     if sample.sample_info.valid_data and not self._ended.is_set():
-                        take(topic, sample.content)
+                        callback(topic, sample.content)
 
-    def _topic(self, topic: str, type_: str) -> Topic[Any]:
-        return Topic(self._participant, topic_name(topic), self._class(type_))
+    def _topic(self, topic: str, class_: Any) -> Topic[Any]:
+        return Topic(self._participant, f"rt{topic}", class_)
 
-    def _class(self, type_: str) -> type:
-        if type_ not in self._classes:
-            self._classes[type_] = _bytes_class(self.messages, type_)
-        return self._classes[type_]
+    def _message_class(self, type_: str) -> Any:
+        """The type of a message, whose objects are no more than its bytes."""
 
+        def initialise(self: Any, content: bytes = b"") -> None:
+            self.content = content
 
-def _bytes_class(messages: Messages, type_: str) -> Any:
-    """The type of a message, whose objects are no more than its bytes."""
-
-    def initialise(self: Any, content: bytes = b"") -> None:
-        self.content = content
-
-    struct = idl_type(messages, type_, {})
-    struct.__init__ = initialise
-    struct.serialize = lambda self, *_, **__: self.content
-    struct.deserialize = struct.deserialize_key = classmethod(lambda class_, data, *_, **__: class_(bytes(data)))
-    return struct
-
-
-def topic_name(topic: str) -> str:
-    """The DDS topic of a ROS topic."""
-    return f"rt{topic}"
-
-
-def writer_qos() -> Qos:
-    """As rclcpp's default: reliable, volatile, keeps the last 10; plain CDR."""
-    return Qos(
-        Policy.Reliability.Reliable(duration(milliseconds=100)),
-        Policy.Durability.Volatile,
-        Policy.History.KeepLast(10),
-        Policy.DataRepresentation(use_cdrv0_representation=True),
-    )
-
-
-def reader_qos(topic: str) -> Qos:
-    """As rclcpp's sensor data, which matches every publisher; of /tf_static whatever was said before is wanted too."""
-    fixed = topic == "/tf_static"
-    return Qos(
-        Policy.Reliability.Reliable(duration(milliseconds=100)) if fixed else Policy.Reliability.BestEffort,
-        Policy.Durability.TransientLocal if fixed else Policy.Durability.Volatile,
-        Policy.History.KeepLast(100),
-        Policy.DataRepresentation(use_cdrv0_representation=True),
-    )
+        struct = idl_type(self.messages, type_, {})
+        struct.__init__ = initialise
+        struct.serialize = lambda self, *_, **__: self.content
+        struct.deserialize = struct.deserialize_key = classmethod(lambda class_, data, *_, **__: class_(bytes(data)))
+        return struct
 
 
 def participant(domain: int, network: str) -> DomainParticipant:
-    """A participant on an interface; see DdsCarrier.
+    """A participant on an interface; see DdsTransport.
 
     Raises:
         OptionError: see there.
@@ -164,36 +131,33 @@ def participant(domain: int, network: str) -> DomainParticipant:
     if not re.fullmatch(r"[A-Za-z0-9_.:-]*", network):
         raise OptionError(f"network {network!r} is no interface")
     with _lock:
-        if domain not in _domains:
-            try:
-                _domains[domain] = network, Domain(domain, _configuration(network))
-            except DDSException as error:
-                raise OptionError(f"DDS: domain {domain} cannot be opened on {network or LOOPBACK} ({error})") from None
-        if _domains[domain][0] != network:
-            raise OptionError(f"network {network!r}: this process uses {_domains[domain][0]!r} for domain {domain}")
         try:
+            if domain not in _domains:
+                _domains[domain] = network, Domain(domain, _configuration(network))
+            if _domains[domain][0] != network:
+                raise OptionError(f"network {network!r}: this process uses {_domains[domain][0]!r} for domain {domain}")
             return DomainParticipant(domain)
         except DDSException as error:
-            raise OptionError(f"DDS: domain {domain} cannot be joined on {network or LOOPBACK} ({error})") from None
+            raise OptionError(f"DDS: domain {domain} cannot be opened on {network or LOOPBACK} ({error})") from None
 
 
 def _configuration(network: str) -> str | None:
     """CycloneDDS's XML; None where the environment has it."""
+    if not network and "CYCLONEDDS_URI" in os.environ:
+        return None
     if network:
         kind = "address" if re.fullmatch(r"[0-9.]+|[0-9a-fA-F:]+:[0-9a-fA-F:]*", network) else "name"
-        interface = f'<NetworkInterface {kind}="{network}"/>'
-        return f"<CycloneDDS><Domain><General><Interfaces>{interface}</Interfaces></General></Domain></CycloneDDS>"
-    if "CYCLONEDDS_URI" in os.environ:
-        return None
-    return f"""<CycloneDDS><Domain>
+        settings = f'<General><Interfaces><NetworkInterface {kind}="{network}"/></Interfaces></General>'
+    else:
+        settings = f"""
         <General>
           <Interfaces><NetworkInterface address="{LOOPBACK}"/></Interfaces><AllowMulticast>false</AllowMulticast>
         </General>
         <Discovery>
           <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>
           <Peers><Peer address="{LOOPBACK}"/></Peers>
-        </Discovery>
-      </Domain></CycloneDDS>"""
+        </Discovery>"""
+    return f"<CycloneDDS><Domain>{settings}</Domain></CycloneDDS>"
 
 
 def idl_type(messages: Messages, type_: str, known: dict[str, Any]) -> Any:
@@ -216,14 +180,9 @@ def _field(messages: Messages, known: dict[str, Any], node: Nodetype, kind: Any)
     if node == Nodetype.NAME:
         return idl_type(messages, kind, known)
     if node == Nodetype.BASE:
-        return _PLAIN[kind[0]]
+        plain = {"string": str, "bool": bool, "byte": types.uint8, "char": types.uint8}
+        return plain.get(kind[0]) or getattr(types, kind[0])
     part, length = kind
     of = _field(messages, known, *part)
     kinds: Any = types
     return kinds.array[of, length] if node == Nodetype.ARRAY else kinds.sequence[of]
-
-
-_PLAIN: dict[str, Any] = {"string": str, "bool": bool, "byte": types.uint8, "char": types.uint8} | {
-    name: getattr(types, name)
-    for name in ("float32", "float64", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
-}

@@ -1,15 +1,12 @@
-"""Bytes of ROS messages, by the definitions of a distribution: the wire format of ROS 1 or CDR.
+"""Bytes of ROS messages, by the definitions of a distribution: the wire format of ROS 1 or CDR, made by rosbags.
 
-Definitions of common packages are those of rosbags. Those of moveit_msgs and its dependencies, of tf2_msgs and of the
-ZED camera are in `definitions/`, fields only; kinecast's own package is `kinecast_msgs/`. Sources: moveit/moveit_msgs,
-OctoMap/octomap_msgs, wg-perception/object_recognition_msgs, ros/geometry2, stereolabs/zed-ros-interfaces and
-zed-ros2-interfaces.
+Definitions of common packages are those of rosbags, others are in `definitions/`, kinecast's own in `kinecast_msgs/`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -23,14 +20,15 @@ from rosbags.typesys.store import Typestore
 
 from kinecast.live.message import MessageError
 
-__all__ = ["LARGEST", "Distribution", "Messages", "messages_of"]
-
 LARGEST = 1 << 20
 """Bytes of a message that is read; a ZED camera's has 2 kB a person."""
 LONGEST = 10_000
 """Elements of a sequence that is read."""
 
 _HERE = Path(__file__).parent
+_CLOCKS = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_PLAIN: dict[str, type] = {"string": str, "bool": bool, "float32": float, "float64": float}
+"""Python's type of a field; int for all others."""
 
 
 class Distribution(Enum):
@@ -46,13 +44,6 @@ class Distribution(Enum):
         return 1 if self is Distribution.NOETIC else 2
 
 
-_STORES = {
-    Distribution.NOETIC: Stores.ROS1_NOETIC,
-    Distribution.HUMBLE: Stores.ROS2_HUMBLE,
-    Distribution.JAZZY: Stores.ROS2_JAZZY,
-}
-
-
 @cache
 def messages_of(distribution: Distribution) -> Messages:
     """The messages of a distribution, read once."""
@@ -60,22 +51,18 @@ def messages_of(distribution: Distribution) -> Messages:
 
 
 class Messages:
-    """Bytes from fields, and objects from bytes.
-
-    Args:
-        distribution: whose definitions are used.
-    """
+    """Bytes from fields, and objects from bytes, by the definitions of a distribution."""
 
     def __init__(self, distribution: Distribution) -> None:
         self.distribution = distribution
-        self.store: Typestore = get_typestore(_STORES[distribution])
+        self.store: Typestore = get_typestore(Stores[f"ROS{distribution.generation}_{distribution.name}"])
         self.store.max_sequence_length = LONGEST
-        self.store.register(_definitions(distribution))
-        self._builders: dict[str, Callable[[Mapping[str, Any]], Any]] = {}
-
-    def knows(self, type_: str) -> bool:
-        """Whether there is a definition of `package/Type`."""
-        return normalize_msgtype(type_) in self.store.fielddefs if "/" in type_ else False
+        self.store.register(_definitions(distribution.generation))
+        self._known: dict[str, dict[str, tuple[Any, Any]]] = {}  # of each type, its fields: kind, and empty value
+        if distribution.generation == 1:
+            self._serialize, self._deserialize = self.store.serialize_ros1, self.store.deserialize_ros1
+        else:
+            self._serialize, self._deserialize = self.store.serialize_cdr, self.store.deserialize_cdr
 
     def encode(self, type_: str, fields: Mapping[str, Any]) -> bytes:
         """A message.
@@ -89,10 +76,7 @@ class Messages:
             KeyError: a type or field that is not defined.
         """
         name = normalize_msgtype(type_)
-        content = self._builder(name)(fields)
-        if self.distribution.generation == 1:
-            return bytes(self.store.serialize_ros1(content, name))
-        return bytes(self.store.serialize_cdr(content, name))
+        return bytes(self._serialize(self._object(name, fields), name))
 
     def decode(self, type_: str, content: bytes) -> Any:
         """An object with the fields of a message.
@@ -108,9 +92,7 @@ class Messages:
             raise MessageError(f"{len(content)} bytes, at most {LARGEST} are taken")
         name = normalize_msgtype(type_)
         try:
-            if self.distribution.generation == 1:
-                return self.store.deserialize_ros1(content, name)
-            return self.store.deserialize_cdr(content, name)
+            return self._deserialize(content, name)
         except Exception as error:
             raise MessageError(f"no {denormalize_msgtype(name)}: {str(error)[:200]}") from None
 
@@ -119,50 +101,43 @@ class Messages:
         self.decode(type_, self.encode(type_, {}))
 
     def definition(self, type_: str) -> tuple[str, str]:
-        """Text of a message's definition with all it is made of, and its hash: MD5 in ROS 1, RIHS01 in ROS 2."""
-        name = normalize_msgtype(type_)
-        text, md5 = self.store.generate_msgdef(name, ros_version=self.distribution.generation)
-        return text, md5 if self.distribution.generation == 1 else self.store.hash_rihs01(name)
+        """Text of a message's definition with all it is made of, and its MD5, as of ROS 1."""
+        return self.store.generate_msgdef(normalize_msgtype(type_))
 
-    def _builder(self, name: str) -> Callable[[Mapping[str, Any]], Any]:
-        """Makes a rosbags object of a message's fields; made once for each type."""
-        if name not in self._builders:
-            parts = [(field, *self._part(*kind)) for field, kind in self.store.fielddefs[name][1]]
-            known = frozenset(field for field, _, _ in parts)
-            class_ = self.store.types[name]
+    def _object(self, name: str, fields: Mapping[str, Any]) -> Any:
+        """rosbags' object of a message."""
+        if name not in self._known:
+            kinds = dict(self.store.fielddefs[name][1])
+            self._known[name] = {field: (kind, self._value(kind, _left_out(kind))) for field, kind in kinds.items()}
+        known = self._known[name]
+        if unknown := fields.keys() - known.keys():
+            raise KeyError(f"{name} has no {', '.join(sorted(unknown))}")
+        return self.store.types[name](*[
+            self._value(kind, fields[field]) if field in fields else empty for field, (kind, empty) in known.items()
+        ])  # fmt: skip
 
-            def build(fields: Mapping[str, Any]) -> Any:
-                if not known.issuperset(fields):
-                    raise KeyError(f"{name} has no {', '.join(sorted(fields.keys() - known))}")
-                return class_(*[make(fields[field]) if field in fields else empty for field, make, empty in parts])
-
-            self._builders[name] = build
-        return self._builders[name]
-
-    def _part(self, node: Nodetype, kind: Any) -> tuple[Callable[[Any], Any], Any]:
-        """What makes a field of a value, and the field without one."""
-        if node == Nodetype.NAME:
-            build = self._builder(kind)
-            if kind in _CLOCKS:
-                return (lambda value: build(_clock(value))), build({})
-            return build, build({})
+    def _value(self, kind: Any, value: Any) -> Any:
+        """A field of rosbags' object."""
+        node, of = kind
         if node == Nodetype.BASE:
-            make = _PLAIN[kind[0]]
-            return make, make()
-        (part, of), length = kind
-        length = length if node == Nodetype.ARRAY else 0
-        if part == Nodetype.NAME or of[0] == "string":
-            make, empty = self._part(part, of)
-            return (lambda values: [make(each) for each in values]), [empty] * length
-        dtype = _DTYPES.get(of[0], of[0])
-        return (lambda values: np.asarray(values, dtype)), np.zeros(length, dtype)
+            return value
+        if node == Nodetype.NAME:
+            return self._object(of, _clock(value) if of in _CLOCKS else value)
+        part, _ = of
+        if part[0] == Nodetype.NAME or part[1][0] == "string":
+            return [self._value(part, each) for each in value]
+        return np.asarray(value, "uint8" if part[1][0] in ("byte", "char") else part[1][0])
 
 
-_CLOCKS = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_PLAIN: dict[str, Any] = {"string": str, "bool": bool, "float32": float, "float64": float, "byte": int, "char": int} | {
-    f"{sign}int{bits}": int for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
-_DTYPES = {"byte": "uint8", "char": "uint8"}
+def _left_out(kind: Any) -> Any:
+    """What a field is where nothing is given."""
+    node, of = kind
+    if node == Nodetype.NAME:
+        return 0.0 if of in _CLOCKS else {}
+    if node == Nodetype.BASE:
+        return _PLAIN.get(of[0], int)()
+    part, length = of
+    return [_left_out(part)] * (length if node == Nodetype.ARRAY else 0)
 
 
 def _clock(seconds: float) -> dict[str, int]:
@@ -172,17 +147,18 @@ def _clock(seconds: float) -> dict[str, int]:
     return {"sec": whole + carry, "nanosec": part}
 
 
-def _definitions(distribution: Distribution) -> dict[str, Any]:
-    def read(name: str, type_: str, package: str = "") -> dict[str, Any]:
-        text = (_HERE / "definitions" / f"{name}.msg").read_text()
-        return dict(get_types_from_msg(text.replace("zed_interfaces/", package or "zed_interfaces/"), type_))
+def _definitions(generation: int) -> dict[str, Any]:
+    """Of the types that rosbags does not have."""
 
-    types = read("moveit_msgs", "moveit_msgs/msg/PlanningScene") | read("tf2_msgs", "tf2_msgs/msg/TFMessage")
-    if distribution.generation == 1:
-        types |= read("zed_interfaces_18", "zed_interfaces/msg/ObjectsStamped")
+    def read(name: str) -> str:
+        return (_HERE / "definitions" / f"{name}.msg").read_text()
+
+    texts = {"moveit_msgs/msg/PlanningScene": read("moveit_msgs"), "tf2_msgs/msg/TFMessage": read("tf2_msgs")}
+    if generation == 1:
+        texts["zed_interfaces/msg/ObjectsStamped"] = read("zed_interfaces_18")
     else:
-        types |= read("zed_interfaces", "zed_interfaces/msg/ObjectsStamped")
-        types |= read("zed_interfaces", "zed_msgs/msg/ObjectsStamped", "zed_msgs/")
+        texts["zed_interfaces/msg/ObjectsStamped"] = zed = read("zed_interfaces")
+        texts["zed_msgs/msg/ObjectsStamped"] = zed.replace("zed_interfaces/", "zed_msgs/")
     for path in sorted((_HERE / "kinecast_msgs" / "msg").glob("*.msg")):
-        types |= get_types_from_msg(path.read_text(), f"kinecast_msgs/msg/{path.stem}")
-    return types
+        texts[f"kinecast_msgs/msg/{path.stem}"] = path.read_text()
+    return {name: each for type_, text in texts.items() for name, each in get_types_from_msg(text, type_).items()}

@@ -6,19 +6,18 @@ moved: new shapes cost MoveIt more than new poses.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
 from kinecast.live.publication import Publication, arms_of
+from kinecast.ros.predictions import Fields, points, upright
 from kinecast.types import LIMBS
-
-__all__ = ["CollisionObjects", "SceneOptions", "scene_diff"]
 
 LIMB_NAMES = ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm")
 ADD, REMOVE, MOVE = 0, 1, 3
@@ -31,8 +30,6 @@ SLACK = 0.06
 """A shape that is larger than its tube by more than this [m] is replaced."""
 REFRESH = 1.0
 """After so long [s] an object is added anew, for those who came later."""
-
-Fields = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -54,20 +51,8 @@ class SceneOptions:
             raise OptionError(f"thickness {self.thickness:g} m is outside 0..0.5 m")
 
 
-@dataclass(frozen=True)
-class _Capsule:
-    start: Float[np.ndarray, "3"]
-    end: Float[np.ndarray, "3"]
-    radius: float
-
-    @property
-    def length(self) -> float:
-        return float(np.linalg.norm(self.end - self.start))
-
-
-@dataclass(frozen=True)
-class _Known:
-    """What MoveIt has been told of an object."""
+class _Object(NamedTuple):
+    """What MoveIt has been told of one."""
 
     frame: str
     length: float
@@ -75,20 +60,13 @@ class _Known:
     added: float
     expires: float
 
-    def holds(self, capsule: _Capsule) -> bool:
-        return 0 <= self.radius - capsule.radius <= SLACK and 0 <= self.length - capsule.length <= SLACK
-
 
 class CollisionObjects:
-    """The objects of every person in view.
-
-    Args:
-        options: see there.
-    """
+    """The objects of every person in view."""
 
     def __init__(self, options: SceneOptions) -> None:
         self._options = options
-        self._known: dict[Hashable, dict[str, _Known]] = {}
+        self._known: dict[str, _Object] = {}
 
     def update(self, publication: Publication, person: str, stamp: float, now: float, expires: float) -> list[Fields]:
         """Fields of a moveit_msgs/CollisionObject for every limb and part.
@@ -99,67 +77,54 @@ class CollisionObjects:
             stamp: for the headers [s].
             now, expires: when it is, and when what is predicted has passed [s], on one clock.
         """
-        frame = publication.frame.frame_id
-        known = self._known.setdefault(publication.key, {})
-        header = {"stamp": stamp, "frame_id": frame}
-        changes = []
-        for name, capsule in self._capsules(publication):
+        frame, changes = publication.frame.frame_id, []
+        for name, ends, radius in self._capsules(publication):
             id_ = f"kinecast_{person}_{name}"
-            had = known.get(id_)
-            fields: Fields = {"header": header, "id": id_, "pose": _IDENTITY}
-            if had and had.frame == frame and had.holds(capsule) and now - had.added < REFRESH:
-                known[id_] = _Known(frame, had.length, had.radius, had.added, expires)
-                fields["operation"] = MOVE
+            length = float(np.linalg.norm(ends[1] - ends[0]))
+            fields: Fields = {
+                "header": {"stamp": stamp, "frame_id": frame},
+                "id": id_,
+                "pose": upright({}),
+                "primitive_poses": _poses(ends, length),
+            }
+            known = self._known.get(id_)
+            holds = known and 0 <= known.radius - radius <= SLACK and 0 <= known.length - length <= SLACK
+            if known and holds and known.frame == frame and now - known.added < REFRESH:
+                self._known[id_] = known._replace(expires=expires)
+                changes.append(fields | {"operation": MOVE})
             else:
-                length, radius = capsule.length + MARGIN, capsule.radius + MARGIN
-                known[id_] = _Known(frame, length, radius, now, expires)
-                fields["operation"] = ADD
-                fields["primitives"] = [
-                    {"type": CYLINDER, "dimensions": [length, radius]},
-                    {"type": SPHERE, "dimensions": [radius]},
-                    {"type": SPHERE, "dimensions": [radius]},
-                ]
-            fields["primitive_poses"] = _poses(capsule)
-            changes.append(fields)
+                self._known[id_] = _Object(frame, length + MARGIN, radius + MARGIN, now, expires)
+                shapes = [{"type": CYLINDER, "dimensions": [length + MARGIN, radius + MARGIN]}]
+                shapes += [{"type": SPHERE, "dimensions": [radius + MARGIN]}] * 2
+                changes.append(fields | {"operation": ADD, "primitives": shapes})
         return changes
 
     def remove(self, now: float) -> list[Fields]:
         """Fields that remove what has expired; inf removes everything."""
-        removed = []
-        for key, known in list(self._known.items()):
-            for id_ in [id_ for id_, each in known.items() if each.expires <= now]:
-                removed.append({"header": {"frame_id": known.pop(id_).frame}, "id": id_, "operation": REMOVE})
-            if not known:
-                del self._known[key]
-        return removed
+        expired = [id_ for id_, each in self._known.items() if each.expires <= now]
+        return [{"header": {"frame_id": self._known.pop(id_).frame}, "id": id_, "operation": REMOVE} for id_ in expired]
 
-    def _capsules(self, publication: Publication) -> Iterator[tuple[str, _Capsule]]:
-        """A capsule for each limb and part: it holds the limb's tubes at all steps of the part, and between them.
+    def _capsules(self, publication: Publication) -> Iterator[tuple[str, Float[np.ndarray, "2 3"], float]]:
+        """A capsule for each part and limb, its ends and radius [m].
 
-        A capsule is convex, so it holds whatever lies between ends that it holds; neighbouring parts share a step.
-        The first one holds the limb as it was seen, too.
+        It holds the limb's tubes at all steps of the part, and between them: a capsule is convex, so it holds whatever
+        lies between ends that it holds, and neighbouring parts share a step. The first one holds the limb as it was
+        seen, too.
         """
-        tubes, parts = publication.tubes, self._options.parts
-        start, end, radius = tubes.start, tubes.end, tubes.radius
-        if not len(radius):
+        tubes = publication.tubes
+        if not len(tubes.radius):
             return
-        edges = np.linspace(0, len(radius) - 1, parts + 1).round().astype(int)
-        seen = arms_of(publication.frame)
-        for limb, (first, last) in enumerate(LIMBS):
-            for part, (low, high) in enumerate(pairwise(edges)):
-                steps = np.arange(low, high + 1)
-                middle = steps[len(steps) // 2]
-                away = np.maximum(
-                    np.linalg.norm(start[steps, limb] - start[middle, limb], axis=-1),
-                    np.linalg.norm(end[steps, limb] - end[middle, limb], axis=-1),
-                )
-                reach = float((away + radius[steps, limb]).max())
-                if part == 0 and np.isfinite(seen[[first, last]]).all():
-                    ends = np.stack((start[middle, limb], end[middle, limb]))
-                    reach = max(reach, float(np.linalg.norm(seen[[first, last]] - ends, axis=-1).max()))
-                if np.isfinite(reach):
-                    capsule = _Capsule(start[middle, limb], end[middle, limb], reach + self._options.thickness)
-                    yield f"{LIMB_NAMES[limb]}_{part}", capsule
+        ends = np.stack((tubes.start, tubes.end), axis=-2)  # (T, 4, 2, 3)
+        edges = np.linspace(0, len(tubes.radius) - 1, self._options.parts + 1).round().astype(int)
+        for part, (low, high) in enumerate(pairwise(edges)):
+            centre = ends[(low + high + 1) // 2]
+            away = np.linalg.norm(ends[low : high + 1] - centre, axis=-1).max(axis=-1)
+            reach = (away + tubes.radius[low : high + 1]).max(axis=0)
+            if part == 0:
+                seen = np.linalg.norm(arms_of(publication.frame)[np.array(LIMBS)] - centre, axis=-1).max(axis=-1)
+                reach = np.where(np.isfinite(seen), np.maximum(reach, seen), reach)
+            for limb in np.flatnonzero(np.isfinite(reach)):
+                yield f"{LIMB_NAMES[limb]}_{part}", centre[limb], float(reach[limb]) + self._options.thickness
 
 
 def scene_diff(objects: list[Fields]) -> Fields:
@@ -167,24 +132,10 @@ def scene_diff(objects: list[Fields]) -> Fields:
     return {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": objects}}
 
 
-_IDENTITY = {"orientation": {"w": 1.0}}
-
-
-def _poses(capsule: _Capsule) -> list[Fields]:
-    axis = (capsule.end - capsule.start) / (capsule.length or 1.0)
-    along = {"position": _point((capsule.start + capsule.end) / 2), "orientation": _from_z_to(axis)}
-    return [along, *({"position": _point(end), "orientation": {"w": 1.0}} for end in (capsule.start, capsule.end))]
-
-
-def _point(xyz: Float[np.ndarray, "3"]) -> Fields:
-    x, y, z = xyz.tolist()
-    return {"x": x, "y": y, "z": z}
-
-
-def _from_z_to(axis: Float[np.ndarray, "3"]) -> Fields:
-    """The shortest turn of the z axis into a unit vector, as a unit quaternion: (1 + z·d, z × d), made unit."""
-    x, y, z = axis.tolist()
-    if z < -1 + 1e-9:
-        return {"x": 1.0}
-    w = float(np.sqrt((1 + z) / 2)) or 1.0
-    return {"x": -y / (2 * w), "y": x / (2 * w), "w": w}
+def _poses(ends: Float[np.ndarray, "2 3"], length: float) -> list[Fields]:
+    """Of the cylinder and the spheres; (1 + z·d, z × d), made unit, turns the cylinder's z axis to the other end."""
+    middle, start, end = points(np.vstack((ends.mean(axis=0), ends)))
+    x, y, z = ((ends[1] - ends[0]) / length).tolist() if length else (0.0, 0.0, 1.0)
+    w = float(np.sqrt((1 + z) / 2))
+    turn = {"x": -y / (2 * w), "y": x / (2 * w), "w": w} if z > -1 + 1e-9 else {"x": 1.0}
+    return [{"position": middle, "orientation": turn}, upright(start), upright(end)]

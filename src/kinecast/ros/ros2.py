@@ -5,19 +5,18 @@ from __future__ import annotations
 import importlib
 import os
 import threading
+from collections.abc import Callable
 from typing import Any
 
 from kinecast.errors import OptionError
-from kinecast.ros.carrier import Taker
 from kinecast.ros.messages import Distribution, messages_of
-
-__all__ = ["Ros2Carrier"]
+from kinecast.ros.transport import Callback, Transport
 
 NODE = "kinecast"
 QUEUE = 10
 
 
-class Ros2Carrier:
+class Ros2Transport(Transport):
     """A node in a context of its own.
 
     It speaks the definitions of the distribution that is sourced; packages of other messages than ROS 2's own
@@ -35,51 +34,43 @@ class Ros2Carrier:
                 f"ros2: no rclpy here ({error}): source ROS 2's setup.bash, or use dds:, which needs no ROS"
             ) from None
         name = os.environ.get("ROS_DISTRO", "")
-        known = [each for each in Distribution if each.generation == 2]
-        found = next((each for each in known if each.value == name), None)
-        if found is None:
-            raise OptionError(f"ros2: ROS_DISTRO is {name!r}, expected {' or '.join(each.value for each in known)}")
-        self.messages = messages_of(found)
+        known = {each.value: each for each in Distribution if each.generation == 2}
+        if name not in known:
+            raise OptionError(f"ros2: ROS_DISTRO is {name!r}, expected {' or '.join(known)}")
+        super().__init__(messages_of(known[name]))
         self._context = self._rclpy.Context()
         self._rclpy.init(context=self._context)
         self._node = self._rclpy.create_node(NODE, context=self._context)
         self._qos = importlib.import_module("rclpy.qos")
         self._executor = importlib.import_module("rclpy.executors").SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._publishers: dict[str, Any] = {}
         self._thread = threading.Thread(target=self._executor.spin, name=NODE, daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, type_: str, take: Taker) -> None:
-        """See Carrier."""
+    def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
+        def take(content: Any) -> None:
+            callback(topic, bytes(content))
+
         qos = self._qos.qos_profile_sensor_data
         if topic == "/tf_static":
             qos = self._qos.QoSProfile(depth=100, durability=self._qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        self._node.create_subscription(_class(type_), topic, lambda content: take(topic, bytes(content)), qos, raw=True)
+        self._node.create_subscription(_message_class(type_), topic, take, qos, raw=True)
 
-    def advertise(self, topic: str, type_: str) -> None:
-        """See Carrier."""
-        if topic not in self._publishers:
-            self._publishers[topic] = self._node.create_publisher(_class(type_), topic, QUEUE)
-
-    def publish(self, topic: str, type_: str, content: bytes) -> None:
-        """See Carrier."""
-        self.advertise(topic, type_)
-        self._publishers[topic].publish(content)
+    def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
+        publish: Callable[[bytes], None] = self._node.create_publisher(_message_class(type_), topic, QUEUE).publish
+        return publish
 
     def now(self) -> float:
-        """See Carrier; simulated where the parameter use_sim_time says so."""
         return float(self._node.get_clock().now().nanoseconds) / 1e9
 
     def close(self) -> None:
-        """See Carrier."""
         self._executor.shutdown()
         self._node.destroy_node()
         self._rclpy.shutdown(context=self._context)
         self._thread.join()
 
 
-def _class(type_: str) -> Any:
+def _message_class(type_: str) -> Any:
     """The class of a message's package.
 
     Raises:

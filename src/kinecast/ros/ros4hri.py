@@ -15,13 +15,11 @@ from jaxtyping import Float
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.transforms import apply, rotation_x, rotation_y, rotation_z
-from kinecast.geometry.transforms import transform as rigid
 from kinecast.live.message import MessageError, SkeletonMessage
-from kinecast.ros.frames import STALE, FrameTree, seconds
-from kinecast.ros.skeletons import MOST_PERSONS, UNSEEN, Position
+from kinecast.ros.tf import STALE, UNSEEN, Position, TransformTree, seconds
 
-__all__ = ["BodyFrames", "body_joints", "from_joint_state"]
-
+MOST_PERSONS = 64
+"""In one message, or begun."""
 _SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 FRAMES = {"body": "pelvis", "torso": "collar", "head": "head"} | {
     f"{side[0]}_{joint}": f"{side}_{joint}" for side in ("left", "right") for joint in _SIDED
@@ -38,33 +36,32 @@ class BodyFrames:
     follows with the next stamp, the joint not seen.
 
     Args:
-        tree: is kept up to date by others.
-        within: the frame positions are given in; None for the root of the body's tree.
+        tree: is updated here.
+        within: the frame positions are given in; "" for the root of the body's tree.
     """
 
-    def __init__(self, tree: FrameTree, within: str | None) -> None:
+    def __init__(self, tree: TransformTree, within: str) -> None:
         self._tree = tree
         self._within = within
         self._due: dict[str, float] = {}
 
-    def before(self, message: Any) -> list[SkeletonMessage]:
-        """Bodies that a tf2_msgs/TFMessage begins anew before they were complete; call it before the tree takes it."""
-        found = []
-        for body, stamp in _bodies(message).items():
-            if body in self._due and self._due[body] < stamp:
-                found.append(self._skeleton(body, self._due.pop(body)))
-        return found
-
-    def after(self, message: Any) -> list[SkeletonMessage]:
-        """Bodies that it completes; call it when the tree has taken it.
+    def update(self, message: Any, fixed: bool = False) -> list[SkeletonMessage]:
+        """Takes a tf2_msgs/TFMessage: bodies that it completes, or begins anew before they were.
 
         Raises:
-            MessageError: more than `MOST_PERSONS`.
+            MessageError: a transform that is none, or more than `MOST_PERSONS`.
         """
-        found = []
-        for body, stamp in _bodies(message).items():
-            newest = [self._find(f"{arm}_{body}").newest for arm in _ARMS if f"{arm}_{body}" in self._tree]
-            if len(newest) == len(_ARMS) and min(newest) >= stamp:
+        bodies = _bodies(message)
+        found = [
+            self._skeleton(body, self._due.pop(body))
+            for body, stamp in bodies.items()
+            if self._due.get(body, np.inf) < stamp
+        ]
+        self._tree.update(message, fixed)
+        for body, stamp in bodies.items():
+            arms = [f"{arm}_{body}" for arm in _ARMS]
+            known = all(arm in self._tree for arm in arms)
+            if known and min(self._tree.lookup(arm, self._within).newest for arm in arms) >= stamp:
                 self._due.pop(body, None)
                 found.append(self._skeleton(body, stamp))
             elif len(self._due) < MOST_PERSONS or body in self._due:
@@ -73,21 +70,17 @@ class BodyFrames:
                 raise MessageError(f"more than {MOST_PERSONS} bodies whose arms are not all there")
         return found
 
-    def _find(self, frame: str) -> Any:
-        return self._tree.find(frame, self._within or self._tree.root(frame))
-
     def _skeleton(self, body: str, stamp: float) -> SkeletonMessage:
         positions: dict[str, Position] = dict.fromkeys(ARM_JOINTS, UNSEEN)
-        where = self._within or ""
+        within = self._within
         for frame, joint in FRAMES.items():
-            name = f"{frame}_{body}"
-            if name in self._tree:
-                where = self._within or self._tree.root(name)
-                found = self._tree.find(name, where)
+            if (name := f"{frame}_{body}") in self._tree:
+                found = self._tree.lookup(name, within)
+                within = found.within
                 if found.oldest >= stamp - STALE:
                     positions[joint] = found.T[:3, 3].tolist()
         return SkeletonMessage(
-            stamp, list(positions.values()), joints=list(positions), person=body, frame_id=where or "world"
+            stamp, list(positions.values()), joints=list(positions), person=body, frame_id=within or "world"
         )
 
 
@@ -100,13 +93,13 @@ def _bodies(message: Any) -> dict[str, float]:
     return bodies
 
 
-def from_joint_state(message: Any, tree: FrameTree, within: str | None, height: float) -> list[SkeletonMessage]:
+def from_joint_state(message: Any, tree: TransformTree, within: str, height: float) -> list[SkeletonMessage]:
     """A person from a sensor_msgs/JointState and the frame `body_<id>`.
 
     Args:
         message: angles [rad] of joints named `<joint>_<id>`.
         tree: where the body's frame is found.
-        within: the frame positions are given in; None for the root of the body's tree.
+        within: the frame positions are given in; "" for the root of the body's tree.
         height: of the person [m].
 
     Raises:
@@ -118,14 +111,10 @@ def from_joint_state(message: Any, tree: FrameTree, within: str | None, height: 
     (body,) = bodies
     angles = dict(zip((name.removesuffix(f"_{body}") for name in message.name), message.position, strict=True))
     stamp = seconds(message.header.stamp)
-    frame = f"body_{body}"
-    where = within or tree.root(frame)
-    found = tree.find(frame, where)
-    if frame not in tree or found.oldest < stamp - STALE:
-        raise MessageError(f"TF does not say where {frame!r} is")
+    found = tree.lookup(f"body_{body}", within, stamp)
     joints = body_joints(angles, height)
     positions: list[Position] = apply(found.T, np.stack(list(joints.values()))).tolist()
-    return [SkeletonMessage(stamp, positions, joints=list(joints), person=body, frame_id=where)]
+    return [SkeletonMessage(stamp, positions, joints=list(joints), person=body, frame_id=found.within)]
 
 
 def body_joints(angles: Mapping[str, float], height: float) -> dict[str, Float[np.ndarray, "3"]]:
@@ -140,9 +129,8 @@ def body_joints(angles: Mapping[str, float], height: float) -> dict[str, Float[n
         MessageError: an arm's angle is missing.
     """
     unit = height / 7.5
-    joints = {"pelvis": np.zeros(3)}
-    torso = _turn(rotation_y(angles.get("waist", 0.0))) @ _move(z=2.75 * unit)
-    joints["collar"] = torso[:3, 3]
+    R_torso = rotation_y(angles.get("waist", 0.0))
+    joints = {"pelvis": np.zeros(3), "collar": R_torso @ [0.0, 0.0, 2.75 * unit]}
     for side, sign in (("left", 1.0), ("right", -1.0)):
         try:
             yaw, pitch, roll, bend = (
@@ -150,18 +138,10 @@ def body_joints(angles: Mapping[str, float], height: float) -> dict[str, Float[n
             )
         except KeyError as missing:
             raise MessageError(f"joint states without {missing}") from None
-        turns = rotation_z(-sign * yaw) @ rotation_x(sign * pitch) @ rotation_z(sign * roll)
-        shoulder = torso @ _move(y=sign * 0.8 * unit) @ _turn(turns)
-        elbow = shoulder @ _move(z=-1.6 * unit) @ _turn(rotation_y(-bend))
-        wrist = elbow @ _move(z=-unit)
-        joints |= {f"{side}_shoulder": shoulder[:3, 3], f"{side}_elbow": elbow[:3, 3], f"{side}_wrist": wrist[:3, 3]}
+        R_upper = R_torso @ rotation_z(-sign * yaw) @ rotation_x(sign * pitch) @ rotation_z(sign * roll)
+        shoulder = R_torso @ [0.0, sign * 0.8 * unit, 2.75 * unit]
+        elbow = shoulder + R_upper @ [0.0, 0.0, -1.6 * unit]
+        wrist = elbow + R_upper @ rotation_y(-bend) @ [0.0, 0.0, -unit]
+        joints |= {f"{side}_shoulder": shoulder, f"{side}_elbow": elbow, f"{side}_wrist": wrist}
         joints[f"{side}_hip"] = np.array([0.0, sign * 0.6 * unit, 0.0])
     return joints
-
-
-def _turn(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4 4"]:
-    return rigid(rotation, np.zeros(3))
-
-
-def _move(y: float = 0.0, z: float = 0.0) -> Float[np.ndarray, "4 4"]:
-    return rigid(np.eye(3), np.array([0.0, y, z]))

@@ -11,6 +11,7 @@ from kinecast.errors import MissingExtraError, OptionError
 
 try:
     from viser import ViserServer
+    from websockets.exceptions import InvalidHandshake
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the browser view", "view") from error
 
@@ -24,6 +25,12 @@ class _Server(ViserServer):
         return None
 
 
+def _worth_a_trace(record: logging.LogRecord) -> bool:
+    """Browsers open connections ahead, and leave them without a request: websockets logs a traceback of each."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, InvalidHandshake | EOFError | ConnectionError)
+
+
 def open_server(host: str, port: int, name: str) -> ViserServer:
     """A server with an empty scene and a panel on the right.
 
@@ -35,7 +42,7 @@ def open_server(host: str, port: int, name: str) -> ViserServer:
         OptionError: nothing can listen there.
     """
     check_address(host, port, name)
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # browsers that vanish are no fault to trace
+    logging.getLogger("websockets.server").addFilter(_worth_a_trace)
     with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
         server = _Server(host, port, label="kinecast", verbose=False)
     if port not in (0, server.get_port()):  # taken in the meantime, so that it went on to the next

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -69,13 +70,22 @@ class Viewer:
         return url_of(self._server)
 
     def serve(self) -> None:
-        """Sends what is to be seen, until it is closed."""
+        """Sends what is to be seen, in the main thread, until it is closed or Ctrl-C ends it.
+
+        Ctrl-C is looked for between two pictures: an exception in the middle of one may be raised while the server
+        holds a lock, or where Python can only print it.
+        """
+        signals: list[int] = []
+        before = signal.signal(signal.SIGINT, lambda number, _: signals.append(number))
         last = time.monotonic()
-        while not self._closing.wait(PERIOD):
-            now = time.monotonic()
-            self.playback.advance(min(now - last, LEAP))
-            last = now
-            self.refresh()
+        try:
+            while not self._closing.wait(PERIOD) and not signals:
+                now = time.monotonic()
+                self.playback.advance(min(now - last, LEAP))
+                last = now
+                self.refresh()
+        finally:
+            signal.signal(signal.SIGINT, before)
 
     def refresh(self) -> None:
         """Sends what is to be seen now."""

@@ -12,11 +12,11 @@ from rosbags.highlevel import AnyReader
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import DatasetError, OptionError
-from kinecast.ros.bags import BagWriter, is_bag, read_frames, skeleton_topics
-from kinecast.ros.carrier import RosSink
-from kinecast.ros.incoming import InputOptions
+from kinecast.ros.bags import BagWriter, read_frames, skeleton_topics
 from kinecast.ros.messages import Distribution
-from kinecast.ros.outgoing import Outgoing, OutputOptions
+from kinecast.ros.publisher import OutputOptions, PredictionPublisher
+from kinecast.ros.subscriber import InputOptions
+from kinecast.ros.transport import RosSink
 
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
 NOW = 1_760_000_000.0
@@ -43,7 +43,6 @@ def write_poses(path: Path, distribution: Distribution, storage: str, count: int
 def test_what_is_written_is_read(tmp_path: Path, name: str, distribution: Distribution, storage: str) -> None:
     path = tmp_path / name
     write_poses(path, distribution, storage)
-    assert is_bag(path)
     assert skeleton_topics(path) == {"/arms": "geometry_msgs/PoseArray"}
     frames, wrong = read_frames(path, "", InputOptions(joints=",".join(ARM_JOINTS)))
     assert wrong == 1
@@ -61,7 +60,7 @@ def test_predictions_in_a_bag_are_read_by_its_own_definitions(
     tmp_path: Path, publish: Any, name: str, distribution: Distribution, storage: str
 ) -> None:
     path = tmp_path / name
-    sink = RosSink("bag", Outgoing(OutputOptions()), BagWriter(path, distribution, storage), 100)
+    sink = RosSink("bag", PredictionPublisher(OutputOptions()), BagWriter(path, distribution, storage), 100)
     for k in range(8):
         sink.publish(publish(REST, k / 30))
     sink.close()

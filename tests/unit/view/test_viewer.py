@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ from kinecast.robot.person import PlayedPerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Decision, Reaction, RobotState
 from kinecast.view.runs import Runs, Setting
-from kinecast.view.server import check_address
+from kinecast.view.server import check_address, open_server, stop_server
 from kinecast.view.viewer import Viewer
 from kinecast.view.words import decisions_html, figures_html, state_html
 
@@ -197,6 +198,31 @@ def test_the_server_listens_where_it_was_told_and_opens_no_tunnel(house: House) 
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+", house.viewer.url)
     assert house.viewer._server.get_host() == "127.0.0.1"
     assert house.viewer._server.request_share_url() is None
+
+
+def test_ctrl_c_ends_it_between_two_pictures(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = []
+
+    def refresh() -> None:
+        signal.raise_signal(signal.SIGINT)
+        drawn.append("to its end")
+
+    monkeypatch.setattr(house.viewer, "refresh", refresh)
+    before = signal.getsignal(signal.SIGINT)
+    house.viewer.serve()
+    assert drawn == ["to its end"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("content", [b"", b"GET / HT"])
+def test_a_connection_that_a_browser_leaves_is_not_in_the_log(content: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    server = open_server("127.0.0.1", 0, "the view")
+    with socket.create_connection(("127.0.0.1", server.get_port()), timeout=LONG) as left:
+        left.sendall(content)
+        left.shutdown(socket.SHUT_WR)
+        assert left.recv(1) == b""  # the server has seen it
+    stop_server(server)
+    assert not caplog.records
 
 
 def test_a_level_outside_its_range_is_named() -> None:

@@ -6,21 +6,21 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kinecast.errors import OptionError
 from kinecast.live.publication import Publication
 from kinecast.ros.planning_scene import CollisionObjects, SceneOptions, scene_diff
-from kinecast.ros.predictions import distribution, joint_pose, markers, no_markers, pose_array
-
-__all__ = ["OUTPUTS", "Outgoing", "OutputOptions", "Posting"]
+from kinecast.ros.predictions import Fields, distribution, joint_pose, markers, no_markers, pose_array
 
 OUTPUTS = ("prediction", "markers", "poses", "planning_scene")
-PREDICTION = "kinecast_msgs/PredictedDistribution"
-MARKERS = "visualization_msgs/MarkerArray"
-SCENE = "moveit_msgs/PlanningScene"
+_TYPES = {
+    "prediction": "kinecast_msgs/PredictedDistribution",
+    "markers": "visualization_msgs/MarkerArray",
+    "planning_scene": "moveit_msgs/PlanningScene",
+}
 MOST_PERSONS = 64
 """Persons with topics of their own, all through a run."""
 SAME_CLOCK = 60.0
@@ -29,15 +29,8 @@ AT_LEAST = 0.1
 """How long anything stays [s]."""
 
 
-@dataclass(frozen=True)
-class Posting:
-    """A message for a topic.
-
-    Attributes:
-        topic: with its namespace.
-        type_: `package/Type`.
-        fields: see `Messages.encode`.
-    """
+class Posting(NamedTuple):
+    """Fields of a message, see `Messages.encode`, for a topic with its namespace."""
 
     topic: str
     type_: str
@@ -69,85 +62,70 @@ class OutputOptions:
             raise OptionError(f"output {', '.join(unknown) or 'none'}: expected some of {', '.join(OUTPUTS)}")
 
 
-@dataclass
-class _Person:
-    token: str
-    frame: str
-    expires: float
-
-
-class Outgoing:
+class PredictionPublisher:
     """Turns predictions into messages, and remembers what must be deleted.
 
     All times are [s] on one clock of this machine that never jumps, but for `ros_now`.
-
-    Args:
-        options: see there.
     """
 
     def __init__(self, options: OutputOptions) -> None:
         self._options = options
         self._objects = CollisionObjects(options.scene)
-        self._persons: dict[tuple[str, str], _Person] = {}
+        self._shown: dict[tuple[str, str], tuple[str, float]] = {}  # coordinate frame and expiry of each person
         self._tokens: dict[tuple[str, str], str] = {}
 
     @property
     def topics(self) -> dict[str, str]:
         """Those that are there from the beginning, with their types; a person's own come with the person."""
-        types = {"prediction": PREDICTION, "markers": MARKERS, "planning_scene": SCENE}
-        return {
-            self._scene_topic if each == "planning_scene" else f"{self._options.namespace}/{each}": types[each]
-            for each in self._options.outputs
-            if each in types
-        }
+        return {self._topic(each): _TYPES[each] for each in self._options.outputs if each in _TYPES}
 
     def tell(self, publication: Publication, now: float, ros_now: float) -> Iterator[Posting]:
         """Messages of a prediction; what it rests on has been acquired by `now`, on `Publication.acquired`'s clock."""
-        options, prediction = self._options, publication.prediction
+        outputs, prediction = self._options.outputs, publication.prediction
+        token = self._token(publication.key)
         stamp = _stamp(publication, now, ros_now)
         horizon = float(prediction.times[-1] - prediction.stamp) if len(prediction.times) else 0.0
         expires = max(publication.acquired + horizon, now + AT_LEAST)
-        token = self._token(publication.key)
-        self._persons[publication.key] = _Person(token, publication.frame.frame_id, expires)
-        if "prediction" in options.outputs:
-            yield self._posting("prediction", PREDICTION, distribution(publication, stamp))
-        if "markers" in options.outputs:
-            drawn = markers(publication, stamp, expires - now)
-            yield self._posting("markers", MARKERS, drawn)
-        if "poses" in options.outputs and token and len(prediction.times):
-            yield self._posting(f"{token}/poses", "geometry_msgs/PoseArray", pose_array(publication, stamp))
+        self._shown[publication.key] = publication.frame.frame_id, expires
+        if "prediction" in outputs:
+            yield self._posting("prediction", distribution(publication, stamp))
+        if "markers" in outputs:
+            yield self._posting("markers", markers(publication, stamp, expires - now))
+        if "poses" in outputs and token and len(prediction.times):
+            yield Posting(self._topic(f"{token}/poses"), "geometry_msgs/PoseArray", pose_array(publication, stamp))
             for joint, name in enumerate(prediction.joints):
                 if np.isfinite(prediction.mean[-1, joint]).all():
                     fields = joint_pose(publication, stamp, joint)
-                    yield self._posting(f"{token}/{name}", "geometry_msgs/PoseWithCovarianceStamped", fields)
-        if "planning_scene" in options.outputs and token:
+                    yield Posting(self._topic(f"{token}/{name}"), "geometry_msgs/PoseWithCovarianceStamped", fields)
+        if "planning_scene" in outputs and token:
             changes = self._objects.update(publication, token, stamp, now, expires)
             yield from self._scene(changes + self._objects.remove(now))
 
     def take_back(self, now: float) -> Iterator[Posting]:
         """Messages that delete what has expired; inf takes back everything."""
-        for key, person in list(self._persons.items()):
-            if person.expires <= now:
-                del self._persons[key]
+        for key, (frame, expires) in list(self._shown.items()):
+            if expires <= now:
+                del self._shown[key]
                 if "markers" in self._options.outputs:
-                    yield self._posting("markers", MARKERS, no_markers(key, person.frame))
+                    yield self._posting("markers", no_markers(key, frame))
         yield from self._scene(self._objects.remove(now))
 
     @property
     def next_expiry(self) -> float:
         """When something will have to be taken back; inf where there is nothing."""
-        return min((person.expires for person in self._persons.values()), default=math.inf)
+        return min((expires for _, expires in self._shown.values()), default=math.inf)
 
-    @property
-    def _scene_topic(self) -> str:
-        return self._options.planning_scene or f"{self._options.namespace}/planning_scene"
-
-    def _scene(self, objects: list[dict[str, Any]]) -> Iterator[Posting]:
+    def _scene(self, objects: list[Fields]) -> Iterator[Posting]:
         if objects:
-            yield Posting(self._scene_topic, SCENE, scene_diff(objects))
+            yield self._posting("planning_scene", scene_diff(objects))
 
-    def _posting(self, topic: str, type_: str, fields: Mapping[str, Any]) -> Posting:
-        return Posting(f"{self._options.namespace}/{topic}", type_, fields)
+    def _posting(self, output: str, fields: Fields) -> Posting:
+        return Posting(self._topic(output), _TYPES[output], fields)
+
+    def _topic(self, name: str) -> str:
+        if name == "planning_scene" and self._options.planning_scene:
+            return self._options.planning_scene
+        return f"{self._options.namespace}/{name}"
 
     def _token(self, key: tuple[str, str]) -> str:
         """A person's name as part of a topic; "" where there have been too many persons."""

@@ -12,8 +12,8 @@ import pytest
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import from_quaternion
 from kinecast.ros.messages import Distribution, messages_of
-from kinecast.ros.outgoing import Outgoing, OutputOptions, Posting
 from kinecast.ros.planning_scene import SceneOptions
+from kinecast.ros.publisher import OutputOptions, Posting, PredictionPublisher
 from kinecast.types import LIMBS, Status
 
 SCENE_ONLY = ("planning_scene",)
@@ -71,11 +71,11 @@ class World:
 
 
 def test_a_scene_adds_moves_and_removes(publish: Any) -> None:
-    outgoing, world = Outgoing(OutputOptions(outputs=SCENE_ONLY)), World()
+    publisher, world = PredictionPublisher(OutputOptions(outputs=SCENE_ONLY)), World()
     rng = np.random.default_rng(0)
     for k in range(40):
         publication = publish(RAISED * k + _rest(), k / 30)
-        world.apply(outgoing.tell(publication, k / 30, ROS_NOW))
+        world.apply(publisher.tell(publication, k / 30, ROS_NOW))
         tubes = publication.tubes
         for limb, name in enumerate(("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm")):
             assert {f"kinecast_person_0_{name}_{part}" for part in range(3)} <= world.objects.keys()
@@ -91,44 +91,44 @@ def test_a_scene_adds_moves_and_removes(publish: Any) -> None:
     assert first == [ADD] * 12
     assert world.operations.count(MOVE) > len(world.operations) / 3
     assert REMOVE not in world.operations
-    assert math.isclose(outgoing.next_expiry, 39 / 30 + 0.5, abs_tol=0.02)
-    world.apply(outgoing.take_back(39 / 30 + 0.4))
+    assert math.isclose(publisher.next_expiry, 39 / 30 + 0.5, abs_tol=0.02)
+    world.apply(publisher.take_back(39 / 30 + 0.4))
     assert len(world.objects) == 12
-    world.apply(outgoing.take_back(39 / 30 + 0.6))  # the last predicted instant has passed
+    world.apply(publisher.take_back(39 / 30 + 0.6))  # the last predicted instant has passed
     assert not world.objects
     assert world.operations[-12:] == [REMOVE] * 12
-    assert outgoing.next_expiry == math.inf
-    assert not list(outgoing.take_back(math.inf))
+    assert publisher.next_expiry == math.inf
+    assert not list(publisher.take_back(math.inf))
 
 
 def test_one_person_leaves_and_another_stays(publish: Any) -> None:
-    outgoing, world = Outgoing(OutputOptions(outputs=SCENE_ONLY)), World()
-    world.apply(outgoing.tell(publish(_rest(), 0.0, "a"), 0.0, ROS_NOW))
-    world.apply(outgoing.tell(publish(_rest(), 0.4, "b"), 0.4, ROS_NOW))
+    publisher, world = PredictionPublisher(OutputOptions(outputs=SCENE_ONLY)), World()
+    world.apply(publisher.tell(publish(_rest(), 0.0, "a"), 0.0, ROS_NOW))
+    world.apply(publisher.tell(publish(_rest(), 0.4, "b"), 0.4, ROS_NOW))
     assert len(world.objects) == 24
-    world.apply(outgoing.tell(publish(_rest(), 0.6, "b"), 0.6, ROS_NOW))  # a was last seen 0.6 s ago
+    world.apply(publisher.tell(publish(_rest(), 0.6, "b"), 0.6, ROS_NOW))  # a was last seen 0.6 s ago
     assert len(world.objects) == 12
     assert all("person_b" in name for name in world.objects)
-    world.apply(outgoing.take_back(math.inf))
+    world.apply(publisher.take_back(math.inf))
     assert not world.objects
 
 
 def test_an_arm_that_is_lost_stays_until_its_prediction_has_passed(publish: Any) -> None:
-    outgoing, world = Outgoing(OutputOptions(outputs=SCENE_ONLY)), World()
-    world.apply(outgoing.tell(publish(_rest(), 0.0), 0.0, ROS_NOW))
+    publisher, world = PredictionPublisher(OutputOptions(outputs=SCENE_ONLY)), World()
+    world.apply(publisher.tell(publish(_rest(), 0.0), 0.0, ROS_NOW))
     lost = np.where(np.arange(6)[:, None] < 3, np.nan, _rest())
     fresh = publish(lost, 0.3, "other")  # of whom nothing was known before: no left arm at all
     assert np.isnan(fresh.tubes.radius[:, :2]).all()
-    world.apply(outgoing.tell(fresh, 0.3, ROS_NOW))
+    world.apply(publisher.tell(fresh, 0.3, ROS_NOW))
     assert sum("other_left" in name for name in world.objects) == 0
     assert sum("other_right" in name for name in world.objects) == 6
     assert sum("person_0_left" in name for name in world.objects) == 6
 
 
 def test_objects_are_added_anew_for_those_who_came_later(publish: Any) -> None:
-    outgoing, late = Outgoing(OutputOptions(outputs=SCENE_ONLY)), World()
+    publisher, late = PredictionPublisher(OutputOptions(outputs=SCENE_ONLY)), World()
     for k in range(45):
-        postings = list(outgoing.tell(publish(_rest(), k / 30), k / 30, ROS_NOW))
+        postings = list(publisher.tell(publish(_rest(), k / 30), k / 30, ROS_NOW))
         if k >= 10:
             late.objects |= {
                 each["id"]: [] for posting in postings for each in posting.fields["world"]["collision_objects"]
@@ -140,7 +140,7 @@ def test_objects_are_added_anew_for_those_who_came_later(publish: Any) -> None:
 @pytest.mark.parametrize("distribution", Distribution)
 def test_a_distribution_says_what_the_prediction_says(publish: Any, distribution: Distribution) -> None:
     publication = publish(_rest(), 2.0, "anna b")
-    told = decoded(Outgoing(OutputOptions()).tell(publication, 2.01, ROS_NOW), distribution)
+    told = decoded(PredictionPublisher(OutputOptions()).tell(publication, 2.01, ROS_NOW), distribution)
     message, prediction = told["/kinecast/prediction"], publication.prediction
     assert (message.person, message.source, message.header.frame_id) == ("anna b", "camera", "cell")
     assert list(Status)[message.status] is prediction.status
@@ -173,35 +173,37 @@ def test_a_distribution_says_what_the_prediction_says(publish: Any, distribution
 
 
 def test_stamps_of_the_ros_clock_go_out_as_they_came(publish: Any) -> None:
-    told = decoded(Outgoing(OutputOptions(outputs=("prediction",))).tell(publish(_rest(), ROS_NOW - 2.0), 5.0, ROS_NOW))
+    told = decoded(
+        PredictionPublisher(OutputOptions(outputs=("prediction",))).tell(publish(_rest(), ROS_NOW - 2.0), 5.0, ROS_NOW)
+    )
     assert told["/kinecast/prediction"].header.stamp.sec == ROS_NOW - 2
 
 
 def test_markers_fade_and_are_deleted(publish: Any) -> None:
-    outgoing = Outgoing(OutputOptions(namespace="/cell/arms", outputs=("markers",)))
-    (message,) = decoded(outgoing.tell(publish(_rest(), 0.0, "a"), 0.0, ROS_NOW)).values()
+    publisher = PredictionPublisher(OutputOptions(namespace="/cell/arms", outputs=("markers",)))
+    (message,) = decoded(publisher.tell(publish(_rest(), 0.0, "a"), 0.0, ROS_NOW)).values()
     seen, mean, words = message.markers
     assert (len(seen.points), len(mean.points), len(mean.colors)) == (8, 15 * 8, 15 * 8)
     opacities = [colour.a for colour in mean.colors[::8]]
     assert opacities == sorted(opacities, reverse=True)
     assert words.text == "a: WARMING_UP"
     assert mean.lifetime.nanosec == pytest.approx(0.5e9, abs=1e7)
-    (deleted,) = decoded(outgoing.take_back(1.0)).values()
+    (deleted,) = decoded(publisher.take_back(1.0)).values()
     assert [(each.ns, each.id, each.action) for each in deleted.markers] == [(seen.ns, id_, 2) for id_ in range(3)]
     nothing = publish(np.full((6, 3), np.nan), 0.0, "b")
-    (message,) = decoded(outgoing.tell(nothing, 0.0, ROS_NOW)).values()
+    (message,) = decoded(publisher.tell(nothing, 0.0, ROS_NOW)).values()
     assert not message.markers[0].points
 
 
 def test_names_of_persons_become_topics_that_differ(publish: Any) -> None:
-    outgoing = Outgoing(OutputOptions(outputs=("poses",)))
+    publisher = PredictionPublisher(OutputOptions(outputs=("poses",)))
     topics = [
-        next(iter(outgoing.tell(publish(_rest(), 0.0, person), 0.0, ROS_NOW))).topic
+        next(iter(publisher.tell(publish(_rest(), 0.0, person), 0.0, ROS_NOW))).topic
         for person in ("7", "a b", "a/b", "__", "a b")
     ]
     names = ["person_7", "person_a_b", "person_a_b_2", "person_0", "person_a_b"]
     assert topics == [f"/kinecast/{name}/poses" for name in names]
-    crowd = [len(list(outgoing.tell(publish(_rest(), 0.0, f"p{k}"), 0.0, ROS_NOW))) for k in range(70)]
+    crowd = [len(list(publisher.tell(publish(_rest(), 0.0, f"p{k}"), 0.0, ROS_NOW))) for k in range(70)]
     assert crowd[0] == 7
     assert crowd[-1] == 0
 

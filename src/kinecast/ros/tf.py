@@ -1,0 +1,133 @@
+"""Coordinate frames as TF tells them: who is whose parent, and where now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.geometry.transforms import from_quaternion, inverse, transform
+from kinecast.live.message import FARTHEST, LONGEST_NAME, MessageError
+
+MOST_FRAMES = 1024
+DEEPEST = 64
+"""Frames between one and the root of its tree."""
+STALE = 0.5
+"""A transform that is older than what it is applied to by more than this [s] is not used."""
+
+
+Position = list[float | None]
+UNSEEN: Position = [None, None, None]
+
+
+def seconds(clock: Any) -> float:
+    """A ROS time or duration [s]."""
+    return float(clock.sec) + 1e-9 * float(clock.nanosec)
+
+
+def point(xyz: Any) -> Position:
+    """x, y, z of anything that has them [m]."""
+    return [float(xyz.x), float(xyz.y), float(xyz.z)]
+
+
+class Lookup(NamedTuple):
+    """Where a frame is: T (4, 4) carries points into the frame `within`; stamps of the moving transforms used [s]."""
+
+    T: Float[np.ndarray, "4 4"]
+    within: str
+    oldest: float
+    newest: float
+
+
+class _Transform(NamedTuple):
+    parent: str
+    T: Float[np.ndarray, "4 4"]
+    stamp: float
+    fixed: bool
+
+
+class TransformTree:
+    """The newest transform of every frame to its parent."""
+
+    def __init__(self) -> None:
+        self._transforms: dict[str, _Transform] = {}
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._transforms
+
+    def update(self, message: Any, fixed: bool = False) -> None:
+        """Takes a tf2_msgs/TFMessage; one of its transforms that is older than what is known is passed over.
+
+        Args:
+            message: as decoded.
+            fixed: from `/tf_static`: holds for all times.
+
+        Raises:
+            MessageError: a transform that is none, or too many frames; those before it are taken.
+        """
+        for each in message.transforms:
+            child, parent = _name(each.child_frame_id), _name(each.header.frame_id)
+            stamp = seconds(each.header.stamp)
+            known = self._transforms.get(child)
+            if known is None and len(self._transforms) >= MOST_FRAMES:
+                raise MessageError(f"more than {MOST_FRAMES} coordinate frames")
+            if known is None or known.fixed or stamp >= known.stamp or known.stamp - stamp > 1.0:
+                self._transforms[child] = _Transform(parent, _matrix(each.transform, child), stamp, fixed)
+
+    def lookup(self, frame: str, within: str = "", stamp: float = -np.inf) -> Lookup:
+        """Where a frame is within another.
+
+        Args:
+            frame: of which nothing may be known.
+            within: the other; "" is the root of its tree.
+            stamp: when it is needed [s].
+
+        Raises:
+            MessageError: the two are not connected, or were told more than `STALE` before the stamp.
+        """
+        up = self._chain(frame)
+        if not within and len(up) == 1:
+            raise MessageError(f"TF does not say where {frame!r} is")
+        within = within or up[-1]
+        down = self._chain(within)
+        common = next((each for each in up if each in down), None)
+        if common is None:
+            raise MessageError(f"TF does not say where {frame!r} is in {within!r}")
+        up, down = up[: up.index(common)], down[: down.index(common)]
+        moving = [known.stamp for known in map(self._transforms.__getitem__, up + down) if not known.fixed]
+        if (age := stamp - min(moving, default=np.inf)) > STALE:
+            raise MessageError(f"TF does not say where {frame!r} is in {within!r}: it said so {age:.1f} s before")
+        T = inverse(self._product(down)) @ self._product(up)
+        return Lookup(T, within, min(moving, default=np.inf), max(moving, default=-np.inf))
+
+    def _chain(self, frame: str) -> list[str]:
+        """A frame, its parent, …, the root."""
+        chain = [frame]
+        while chain[-1] in self._transforms:
+            if len(chain) >= DEEPEST:
+                raise MessageError(f"more than {DEEPEST} coordinate frames above one another, or a circle")
+            chain.append(self._transforms[chain[-1]].parent)
+        return chain
+
+    def _product(self, chain: Sequence[str]) -> Float[np.ndarray, "4 4"]:
+        return reduce(lambda T, frame: self._transforms[frame].T @ T, chain, np.eye(4))
+
+
+def _name(text: str) -> str:
+    name = text.lstrip("/")
+    if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
+        raise MessageError(f"a frame's name has {len(name)} characters; 1 to {LONGEST_NAME} printable ones are taken")
+    return name
+
+
+def _matrix(message: Any, child: str) -> Float[np.ndarray, "4 4"]:
+    xyz = np.array(point(message.translation), dtype=np.float64)
+    turn = message.rotation
+    wxyz = np.array([turn.w, turn.x, turn.y, turn.z])
+    near = np.abs(xyz).max() <= FARTHEST and np.abs(wxyz).max() <= 1.01  # not of a NaN
+    if not (near and 0.99 < np.linalg.norm(wxyz) < 1.01):
+        raise MessageError(f"the transform of {child!r} is none: its quaternion's length must be 1")
+    return transform(from_quaternion(wxyz), xyz)

@@ -1,0 +1,170 @@
+"""A source and a sink over anything that carries ROS messages as bytes."""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+from kinecast.live.sender_guard import SenderGuard
+from kinecast.live.attempts import Attempts
+from kinecast.live.mailbox import Feed
+from kinecast.live.message import MessageError
+from kinecast.live.publication import Publication
+from kinecast.live.tally import Tally
+from kinecast.ros.messages import Messages
+from kinecast.ros.publisher import Posting, PredictionPublisher
+from kinecast.ros.subscriber import SkeletonSubscriber
+
+Callback = Callable[[str, bytes], None]
+"""Takes a topic and the bytes of a message that came on it, in any thread."""
+LOOK = 0.5
+"""Longest wait for something to do [s]."""
+
+
+class Transport(ABC):
+    """Carries bytes between topics, in the definitions of `messages`."""
+
+    def __init__(self, messages: Messages) -> None:
+        self.messages = messages
+        self._publishers: dict[str, Callable[[bytes], None]] = {}
+
+    @abstractmethod
+    def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
+        """Has `callback` called with each message of a topic."""
+
+    @abstractmethod
+    def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
+        """What sends the bytes of a message on a topic."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Ends all that was opened."""
+
+    def advertise(self, topic: str, type_: str) -> None:
+        """Says that messages will come, so that those who wait for them get the first."""
+        if topic not in self._publishers:
+            self._publishers[topic] = self.create_publisher(topic, type_)
+
+    def publish(self, topic: str, type_: str, content: bytes) -> None:
+        """Sends a message on a topic, which need not be advertised.
+
+        Raises:
+            OSError: nothing can be sent any more.
+        """
+        self.advertise(topic, type_)
+        self._publishers[topic](content)
+
+    def now(self) -> float:
+        """The ROS clock [s]."""
+        return time.time()
+
+
+class RosSource:
+    """Skeletons from topics, to a guard; bad messages are counted in the feed. It closes its transport."""
+
+    def __init__(
+        self, address: str, feed: Feed, subscriber: SkeletonSubscriber, transport: Transport, guard: SenderGuard
+    ) -> None:
+        self.address = address
+        self._feed = feed
+        self._subscriber = subscriber
+        self._transport = transport
+        self._guard = guard
+        self._lock = threading.Lock()
+
+    def start(self) -> None:
+        """Subscribes."""
+        for topic, type_ in self._subscriber.topics.items():
+            self._transport.messages.prepare(type_)
+            self._transport.subscribe(topic, type_, self._take)
+
+    def close(self) -> None:
+        """Ends; no frame comes afterwards."""
+        self._transport.close()
+
+    def _take(self, topic: str, content: bytes) -> None:
+        arrived = time.monotonic()
+        try:
+            with self._lock:
+                for found in self._subscriber.read(self._transport.messages, topic, content):
+                    try:
+                        if isinstance(found, MessageError):
+                            raise found
+                        self._guard.admit(found, self.address, arrived)
+                    except MessageError as problem:
+                        self._feed.refuse(str(problem))
+        except Exception as error:  # in a thread of the transport's, which must go on
+            self._feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
+
+
+class RosSink:
+    """Predictions on topics, from a thread of its own that also deletes what has expired. It closes its transport.
+
+    Args:
+        address: for messages.
+        publisher: makes the messages.
+        transport: sends them.
+        room: publications that may wait; the oldest of more are dropped and counted.
+    """
+
+    def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:
+        self.address = address
+        self.tally = Tally()
+        self._attempts = Attempts(address, "sent", OSError)
+        self._publisher = publisher
+        self._transport = transport
+        self._room = room
+        self._waiting: queue.Queue[Publication | None] = queue.Queue()
+        for topic, type_ in publisher.topics.items():
+            transport.messages.prepare(type_)
+            transport.advertise(topic, type_)
+        self._thread = threading.Thread(target=self._run, name=address, daemon=True)
+        self._thread.start()
+
+    @property
+    def failure(self) -> str | None:
+        """See kinecast.live.sinks.Sink."""
+        return self._attempts.failure
+
+    def publish(self, publication: Publication) -> None:
+        """See kinecast.live.sinks.Sink."""
+        if self._waiting.qsize() >= self._room:
+            with suppress(queue.Empty):
+                self._waiting.get_nowait()
+                self.tally.dropped += 1
+        self._waiting.put(publication)
+
+    def close(self) -> None:
+        """Sends what waits, deletes all that was drawn or put into a scene, and ends."""
+        self._waiting.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        ended = False
+        while not ended:
+            with suppress(queue.Empty):
+                patience = max(self._publisher.next_expiry - time.monotonic(), 0.0)
+                publication = self._waiting.get(timeout=min(patience, LOOK))
+                if publication is None:
+                    ended = True
+                elif self._attempts.succeeds(self._tell, publication):
+                    self.tally.sent(time.monotonic() - publication.acquired)
+                else:
+                    self.tally.dropped += 1
+            self._attempts.succeeds(self._send, self._publisher.take_back(math.inf if ended else time.monotonic()))
+        try:
+            self._transport.close()
+        except Exception as error:
+            self._attempts.fail(error)
+
+    def _tell(self, publication: Publication) -> None:
+        self._send(self._publisher.tell(publication, time.monotonic(), self._transport.now()))
+
+    def _send(self, postings: Iterator[Posting]) -> None:
+        for topic, type_, fields in postings:
+            self._transport.publish(topic, type_, self._transport.messages.encode(type_, fields))
