@@ -38,7 +38,7 @@ from kinecast.datasets.resampling import resample
 from kinecast.datasets.synthetic import Fetch, SyntheticOptions, fetching, generate, generate_clean, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.metrics import joint_errors
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 from kinecast.pipeline import every_frame, followed, observations, training_windows, training_windows_by_action

@@ -14,7 +14,7 @@ from kinecast import Predictor, PredictorOptions
 from kinecast.datasets.splits import by_subject, split_by
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
 from kinecast.prediction.methods import TrainingOptions, card_of, limits_of, save_method, train
 

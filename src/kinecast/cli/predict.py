@@ -10,9 +10,9 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from kinecast.cli.destination import check_file
 from kinecast.cli.options import File, FormatName, SceneFile, check_seed
-from kinecast.cli.progress import progress_bar
+from kinecast.cli.output_paths import check_file
+from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.datasets.table_file import Rows, Words, write_rows
 from kinecast.geometry.scene import Scene
@@ -53,7 +53,8 @@ def predict(
     options = PredictorOptions(samples=samples, seed=seed)
     obstacles = None if scene is None else Scene.load(scene)
     recordings = one_scene(read_recordings((path,), format), path, "predict")
-    predictor = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
+    with compiling():
+        predictor = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
     predictions: list[Prediction] = []
     total = sum(len(recording.stamps) for recording in recordings)
     with progress_bar("predicting") as progress:

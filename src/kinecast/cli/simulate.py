@@ -11,8 +11,8 @@ import numpy as np
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.destination import check_folder
 from kinecast.cli.options import Switch, check_seed
+from kinecast.cli.output_paths import check_folder
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinecast.body.limits import JointLimits
@@ -22,11 +22,11 @@ from kinecast.prediction.methods import TrainingOptions, check_names, limits_of,
 from kinecast.prediction.outside import is_outside, trained_outside_on
 from kinecast.tasks.workers import Workers
 
-__all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known", "with_ablations"]
+__all__ = ["MethodSet", "method_names", "read_models", "train_methods"]
 
 
 @dataclass(frozen=True)
-class Contestants:
+class MethodSet:
     """Methods for the same windows.
 
     Attributes:
@@ -40,6 +40,25 @@ class Contestants:
     limits: JointLimits
     trained_on: Sequence[str]
     windows: WindowOptions
+
+    def with_ablations(self) -> MethodSet:
+        """The methods, and before `kinecast` what is left of it with each stage switched off in turn.
+
+        Raises:
+            OptionError: `kinecast` is not among them.
+        """
+        whole = self.methods.get("kinecast")
+        if not isinstance(whole, Horizon):
+            raise OptionError(f"--ablate takes kinecast apart; the methods are {', '.join(self.methods)}")
+        parts = {f"kinecast, {name}": part for name, part in ablations(whole).items()}
+        others = {name: method for name, method in self.methods.items() if method is not whole}
+        return replace(self, methods={**others, **parts, "kinecast": whole})
+
+    def warn_of_known(self, test: Sequence[Recording]) -> None:
+        """A note where models were trained on recordings of the test recordings' names."""
+        known = [recording.name for recording in test if recording.name in self.trained_on]
+        if known:
+            note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
 
 
 def method_names(text: str) -> list[str]:
@@ -62,7 +81,7 @@ def train_methods(
     scene: Scene | None,
     seed: int,
     workers: Workers,
-) -> Contestants:
+) -> MethodSet:
     """Methods trained on every window of recordings, as `kinecast train` does; those from elsewhere in this process.
 
     Raises:
@@ -75,12 +94,12 @@ def train_methods(
     with progress_bar("training") as progress:
         methods |= train([name for name in names if name not in methods], data, settings, progress, workers)
     methods = {name: methods[name] for name in names}
-    return Contestants(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
+    return MethodSet(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
 
 
 def read_models(
     paths: Sequence[Path], rate: float | None = None, window: float | None = None, horizon: float | None = None
-) -> Contestants:
+) -> MethodSet:
     """Saved models, all for the same windows.
 
     Args:
@@ -109,28 +128,7 @@ def read_models(
     names = _unique([card.method for card in cards])
     methods = {name: method for name, (_, _, method) in zip(names, models, strict=True)}
     trained_on = sorted({name for card in cards for name in card.trained_on})
-    return Contestants(methods, _limits(cards), trained_on, options)
-
-
-def with_ablations(methods: Mapping[str, Method]) -> dict[str, Method]:
-    """The methods, and before `kinecast` what is left of it with each stage switched off in turn.
-
-    Raises:
-        OptionError: `kinecast` is not among them.
-    """
-    whole = methods.get("kinecast")
-    if not isinstance(whole, Horizon):
-        raise OptionError(f"--ablate takes kinecast apart; the methods are {', '.join(methods)}")
-    parts = ablations(whole)
-    others = {name: method for name, method in methods.items() if method is not whole}
-    return {**others, **{f"kinecast, {name}": part for name, part in parts.items()}, "kinecast": whole}
-
-
-def warn_of_known(contestants: Contestants, test: Sequence[Recording]) -> None:
-    """A note where models were trained on recordings of the test recordings' names."""
-    known = [recording.name for recording in test if recording.name in contestants.trained_on]
-    if known:
-        note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
+    return MethodSet(methods, _limits(cards), trained_on, options)
 
 
 def _unique(names: Sequence[str]) -> list[str]:
