@@ -23,8 +23,6 @@ from kinecast.cli.simulate import simulate
 from kinecast.cli.train import train
 from kinecast.errors import KinecastError
 
-__all__ = ["run"]
-
 COMMANDS: dict[str, Callable[..., Any]] = {
     command.__name__: command
     for command in (demo, info, convert, download, train, evaluate, predict, live, calibrate, simulate)

@@ -17,8 +17,6 @@ from kinecast.datasets.difference import differences
 from kinecast.datasets.loading import load_all
 from kinecast.errors import OptionError
 
-__all__ = ["convert"]
-
 NO_BVH = "BVH holds the rotations of a skeleton whose bones keep their length, which positions do not tell"
 
 

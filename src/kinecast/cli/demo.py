@@ -13,8 +13,6 @@ from kinecast.evaluation.scoring import EvaluationOptions
 from kinecast.pipeline import every_frame
 from kinecast.prediction.methods import shipped_methods
 
-__all__ = ["demo"]
-
 SEED = 7
 
 

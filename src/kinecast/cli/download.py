@@ -16,8 +16,6 @@ from kinecast.cli.progress import CONSOLE
 from kinecast.datasets.download import download as fetch
 from kinecast.datasets.download import public_sets
 
-__all__ = ["download"]
-
 
 def download(
     name: Positional[Annotated[str | None, arg(metavar="[NAME]", help_behavior_hint="")]] = None,

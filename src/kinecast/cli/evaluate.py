@@ -34,8 +34,6 @@ from kinecast.pipeline import every_frame
 from kinecast.prediction.forecast import Method
 from kinecast.tasks.workers import Serial, Workers
 
-__all__ = ["evaluate", "score"]
-
 DEFAULT_METHODS = (
     "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,gp_xyz,gp_angles,gp_constrained,kinecast"
 )
@@ -141,17 +139,13 @@ def score(
     settings: Mapping[str, Any],
     workers: Workers | None = None,
 ) -> None:
-    """Scores methods, writes metrics.json, report.html and pictures, and prints the table.
+    """Scores methods, writes everything to a folder, and prints the table.
 
     Args:
-        out: folder for the results.
-        methods: by name.
         parts, histories: of each test recording its windows, and those that end with each of its frames.
         windows: as which they were cut.
-        scene: obstacles; None for none.
-        options: see EvaluationOptions.
         settings: what else to say about the run: `train`, `models` and `scene`.
-        workers: that do it; None for this process.
+        out, methods, scene, options, workers: as for `run_evaluation`.
     """
     from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
 

@@ -15,8 +15,6 @@ from kinecast.datasets.compressed import head
 from kinecast.datasets.loading import FORMATS, Format
 from kinecast.datasets.recording import Recording
 
-__all__ = ["FORMAT_NAMES", "MORE_FORMATS", "UNREAD", "WRITERS"]
-
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 PROFILE = slice(21, 25)
 """Where an MCAP file of ROS 2 says that it is one."""

@@ -58,15 +58,7 @@ def check_seed(seed: int) -> None:
 
 @contextmanager
 def worker_pool(where: str | None) -> Iterator[Workers]:
-    """Workers for as long as they are needed.
-
-    Args:
-        where: of a cluster (kinecast.tasks.cluster.cluster_at), or None for this process.
-
-    Raises:
-        MissingExtraError: the extra for clusters is not installed.
-        OptionError, ClusterError: as `cluster_at`.
-    """
+    """Workers for as long as they are needed: of a cluster (kinecast.tasks.cluster.cluster_at), or this process."""
     if where is None:
         yield Serial()
         return

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from kinecast.errors import OptionError
 
-__all__ = ["check_file", "check_folder"]
-
 
 def check_file(out: Path, endings: tuple[str, ...], option: str = "--out") -> None:
     """Check that a file can be written.

@@ -20,8 +20,6 @@ from kinecast.pipeline import stream
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import Prediction, Status
 
-__all__ = ["predict"]
-
 UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
 """Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
 

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-__all__ = ["CONSOLE", "compiling", "note", "progress_bar"]
-
 CONSOLE = Console(stderr=True)
 
 PATIENCE = 2.0

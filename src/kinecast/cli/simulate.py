@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from kinecast.robot.person import PlayedPerson
     from kinecast.types import Decision
 
-__all__ = ["Cast", "closing_table", "sentence", "simulate", "write"]
-
 SYNTHETIC = "synthetic"
 OUT = Path("kinecast-simulate")
 

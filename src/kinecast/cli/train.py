@@ -22,8 +22,6 @@ from kinecast.pipeline import training_windows
 from kinecast.prediction.methods import TrainingOptions, card_of, check_names, save_method
 from kinecast.prediction.methods import train as fit
 
-__all__ = ["train"]
-
 
 def train(
     paths: What,

@@ -22,18 +22,6 @@ from numba import njit
 
 from kinecast.errors import OptionError
 
-__all__ = [
-    "LEVELS",
-    "block_bootstrap",
-    "crps",
-    "energy_score",
-    "is_moving",
-    "joint_errors",
-    "kde_nll",
-    "regions",
-    "scored",
-]
-
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """The shares of probability at which coverage is reported."""
 

@@ -30,8 +30,6 @@ try:
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
 
-__all__ = ["Moment", "animate_prediction", "draw_prediction", "write_gif"]
-
 BODY = "#e6e9ed"
 AHEAD = LinearSegmentedColormap.from_list("ahead", ["#86cdee", BLUE, "#43278c"])
 """Colour of a predicted point: light soon, dark late."""
@@ -241,13 +239,9 @@ def _draw_moment(
     most: int = 150,
     step: int | None = None,
 ) -> None:
-    """Draw a moment as a camera sees it.
+    """Draw a moment, and obstacles where they are at the time that is shown, as a camera sees them.
 
     Args:
-        axes: to draw on.
-        camera: the view.
-        moment: what to draw.
-        scene: obstacles, where they are at the time that is shown.
         scale: of line widths.
         most: samples to draw; more of them would add ink, not knowledge.
         step: only the poses predicted and measured at this step, −1 for now, before it only the window up to there

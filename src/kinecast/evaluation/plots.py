@@ -31,27 +31,6 @@ try:
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
 
-__all__ = [
-    "BLUE",
-    "INK",
-    "MUTED",
-    "RED",
-    "STYLE",
-    "UNKNOWN",
-    "drawable",
-    "figure_svg",
-    "known",
-    "method_style",
-    "number",
-    "percent",
-    "plot_coverage",
-    "plot_coverage_by_horizon",
-    "plot_error_by_horizon",
-    "plot_nll_histograms",
-    "plot_violations",
-    "save_figure",
-]
-
 INK = "#1b1f24"
 """Colour of text and axes; `figure_svg` turns it into the page's own."""
 
@@ -139,29 +118,15 @@ def method_style(name: str) -> MethodStyle:
 
 
 def plot_error_by_horizon(errors_mm: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Figure:
-    """Error over the time ahead, a line per method.
-
-    Args:
-        errors_mm: MPJPE [mm] per step, by method; None where nothing was scored.
-        horizon: time ahead of the last step [s]; without it the axis counts steps.
-    """
+    """MPJPE [mm] over the time ahead, a line per method; without the horizon [s] the axis counts steps."""
     errors = {name: _floats(steps) for name, steps in errors_mm.items()}
     return _over_horizon(errors, horizon, "Mean joint error over the horizon [mm]")
 
 
-def plot_coverage_by_horizon(
-    coverage: Mapping[str, Sequence[float | None]], horizon: float | None = None, level: float = 0.9
-) -> Figure:
-    """Share of true positions inside their region over the time ahead, a line per method.
-
-    Args:
-        coverage: share in [0, 1] per step, by method; None where nothing was scored.
-        horizon: time ahead of the last step [s]; without it the axis counts steps.
-        level: the share it should be, drawn for reference.
-    """
+def plot_coverage_by_horizon(coverage: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Figure:
+    """Share of true positions inside the 90 % region over the time ahead, a line per method."""
     shares = {name: 100 * _floats(steps) for name, steps in coverage.items()}
-    title = f"Inside the {100 * level:g} % region over the horizon [%]"
-    return _over_horizon(shares, horizon, title, should_be=100 * level)
+    return _over_horizon(shares, horizon, "Inside the 90 % region over the horizon [%]", should_be=90.0)
 
 
 def plot_nll_histograms(
@@ -199,11 +164,7 @@ def plot_nll_histograms(
 
 
 def plot_coverage(coverage: Mapping[str, Mapping[str, float | None]]) -> Figure:
-    """How often the truth lay inside the region that should hold it, against the share it should be.
-
-    Args:
-        coverage: by method, observed share by nominal share, e.g. `{"0.9": 0.87}`.
-    """
+    """Share of truths inside the region that should hold it, against that nominal share, e.g. `{"0.9": 0.87}`."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 4.6), layout="constrained")
         axes = figure.subplots()
@@ -234,12 +195,7 @@ def plot_coverage(coverage: Mapping[str, Mapping[str, float | None]]) -> Figure:
 
 
 def plot_violations(violations: Mapping[str, Mapping[str, float | None]], truth: Mapping[str, float | None]) -> Figure:
-    """Share of steps outside position, speed and scene limits, per method and for what was measured.
-
-    Args:
-        violations: by method, shares in [0, 1] by kind of limit.
-        truth: the same for the measured motion.
-    """
+    """Share of steps outside position, speed and scene limits, per method and for what was measured."""
     rows = {"measured": truth, **violations}
     kinds = {"position": "out of range [%]", "speed": "too fast [%]", "scene": "in an obstacle [%]"}
     with mpl.rc_context(STYLE):
@@ -271,12 +227,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def figure_svg(figure: Figure, title: str) -> str:
-    """The figure as an `<svg>` element without background, in the font and text colour of the page around it.
-
-    Args:
-        figure: one of this module's.
-        title: read out in place of the picture; any text.
-    """
+    """The figure as an `<svg>` element in the page's font and text colour; the title, any text, is read out instead."""
     stream = io.StringIO()
     with mpl.rc_context({**STYLE, "svg.hashsalt": title}):
         nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -386,11 +337,7 @@ def _histogram_rows(axes: Axes, rows: Mapping[str, Float[np.ndarray, "..."]]) ->
 def _label_lines(axes: Axes, ends: Mapping[str, tuple[float, float]], at: float, height: float) -> None:
     """Name each line near its end, moved up or down just enough that names do not overlap.
 
-    Args:
-        axes: with its y limits set.
-        ends: the point of each line to be named.
-        at: where the names are, in widths of the axes; right of the points, or left of them if below 0.5.
-        height: of the axes in inches.
+    Names are at `at` widths of the axes, `height` inches high: right of the points, or left of them if below 0.5.
     """
     low, high = axes.get_ylim()
     gap = (high - low) * 13.0 / (72 * height)

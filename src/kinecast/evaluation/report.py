@@ -50,8 +50,6 @@ try:
 except ImportError as error:
     raise MissingExtraError("the report", "train") from error
 
-__all__ = ["format_table", "run_evaluation", "write_report"]
-
 Metrics = Mapping[str, Any]
 
 PICTURES = {".png": "image/png", ".gif": "image/gif"}
@@ -70,14 +68,9 @@ def run_evaluation(
     """Scores methods and writes everything: all files or, after an error, none.
 
     Args:
-        out: folder for metrics.json, report.html, prediction.png and prediction.gif.
-        methods: by name; the last one is drawn.
-        recordings: windows of recordings that no method was trained on.
-        scene: obstacles; None for none.
-        options: see EvaluationOptions.
+        out: folder for metrics.json, report.html, prediction.png and prediction.gif, which shows the last method.
         settings: what to say about the run, JSON values.
-        progress: called with (done, total) tasks.
-        workers: that do them; None for this process.
+        methods, recordings, scene, options, progress, workers: as for `evaluate`.
 
     Returns:
         What metrics.json holds.

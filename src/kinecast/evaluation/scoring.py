@@ -29,8 +29,6 @@ from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_wi
 from kinecast.prediction.observation import Observation
 from kinecast.tasks.workers import Progress, Serial, Workers, generator, given
 
-__all__ = ["EvaluationOptions", "TestRecording", "evaluate", "score_windows", "warm_up"]
-
 NLL_JOINTS = 6
 """NLL is reported per joint: the log density of the whole pose, six joints in m^18, divided by six."""
 
@@ -134,10 +132,7 @@ def evaluate(
 
 
 def warm_up(
-    methods: Mapping[str, Method],
-    recordings: Sequence[TestRecording],
-    scene: Scene | None,
-    options: EvaluationOptions,
+    methods: Mapping[str, Method], recordings: Sequence[TestRecording], scene: Scene | None, options: EvaluationOptions
 ) -> None:
     """Scores each method on the first window, which there must be, so that everything is compiled."""
     for method in methods.values():
@@ -206,13 +201,9 @@ def score_windows(
     """Scores a method on some windows of a recording; draws depend on the window alone.
 
     Args:
-        method: which.
-        recording: of the windows.
         place: of the recording among all.
         rows: of the windows in it, from the first one on where the method follows the person.
         repeated: rows of those whose NLL is taken again.
-        scene: obstacles; None for none.
-        options: see EvaluationOptions.
     """
     scores = Scores()
     # Compiling is not predicting: the first call is not timed.
