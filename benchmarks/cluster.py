@@ -33,7 +33,7 @@ import psutil
 from benchmarks.machine import facts, save
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
 from kinecast.prediction.kinecast.expert_training import Examples
 from kinecast.prediction.methods import TrainingOptions, train

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from kinecast.evaluation.palette import INK, method_style
-from kinecast.evaluation.plots import STYLE, save_figure
+from kinecast.evaluation.plots import INK, STYLE, method_style, save_figure
 from kinecast.robot.outcome import Outcome
 
 SHOWN = (

@@ -1,6 +1,6 @@
-"""What context is worth: goals in the scene, and a model per action.
+"""What context is worth: goals in the scene.
 
-python -m benchmarks.context [--data FOLDER] [--parts goals cost vicon actions] [--model FILE] [--samples N]
+python -m benchmarks.context [--data FOLDER] [--parts goals cost vicon] [--model FILE] [--samples N]
 
 FOLDER (or the variable KINECAST_DATA) holds the recordings as docs/datasets.md names them. Parts, each added to the
 JSON file as it ends:
@@ -12,7 +12,6 @@ cost: what goals add to the processor time of a forecast of 1000 samples, on one
 vicon: the recordings name no objects, so a goal is known without looking ahead only where people have been before:
     places where wrists rested in the training recordings of the same task. Held-out recordings, a model trained on the
     others.
-actions: Vicon tasks as actions; every second recording of each task is trained on, the others are tested.
 """
 
 from __future__ import annotations
@@ -37,28 +36,20 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.resampling import resample
 from kinecast.datasets.synthetic import Fetch, SyntheticOptions, fetching, generate, generate_clean, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
-from kinecast.evaluation.metrics import joint_errors
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
-from kinecast.pipeline import every_frame, followed, observations, training_windows, training_windows_by_action
+from kinecast.pipeline import every_frame, followed, training_windows
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.goals import HANDS, WRISTS
 from kinecast.prediction.kinecast.method import Horizon
-from kinecast.prediction.methods import (
-    TrainingOptions,
-    card_of,
-    read_method,
-    save_method,
-    shipped_methods,
-    train,
-    with_actions,
-)
+from kinecast.prediction.methods import TrainingOptions, card_of, read_method, save_method, shipped_methods, train
 
 OPTIONS = WindowOptions()
 PEOPLE, SEED, DURATION = 6, 300, 20.0
 CUBES = ("red_cube", "green_cube", "blue_cube", "left_tray", "right_tray")
 TASKS = ("pick_and_place", "reaching")
+PARTS = ("goals", "cost", "vicon")
 MOVED = 0.15
 """How far misplaced goals are from where they should be [m]."""
 STILL, WAY, CLOSE = 0.08, 0.1, 0.04
@@ -86,11 +77,8 @@ def brief(each: dict[str, Any]) -> dict[str, Any]:
 def tests_of(recordings: Sequence[Recording], stride: int) -> list[TestRecording]:
     """Windows and the frames before them."""
     options = replace(OPTIONS, stride=stride)
-    every = {part.name: part for part in all_windows(recordings, every_frame(OPTIONS))}
-    return [
-        TestRecording(part.name, observations(part), part.future, part.frames, followed(every[part.name]))
-        for part in all_windows(recordings, options)
-    ]
+    parts = all_windows(recordings, options)
+    return TestRecording.of(parts, all_windows(recordings, every_frame(OPTIONS)))
 
 
 def reaches(path: np.ndarray, rate: float) -> list[tuple[int, int]]:
@@ -245,18 +233,17 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
     return train_on, test_on
 
 
-def model_of(recordings: Sequence[Recording], path: Path) -> tuple[Horizon, Horizon]:
-    """A general model and the same with one per task, trained or read from a file."""
+def model_of(recordings: Sequence[Recording], path: Path) -> Horizon:
+    """A model trained on recordings, or read from a file."""
     if not path.exists():
         data, settings = training_windows(recordings, OPTIONS), TrainingOptions()
-        general = train(["kinecast"], data, settings)["kinecast"]
-        whole = with_actions(general, training_windows_by_action(recordings, OPTIONS), settings)
-        save_method(path, card_of("kinecast", whole, data, settings, "", [each.name for each in recordings]), whole)
+        trained = train(["kinecast"], data, settings)["kinecast"]
+        save_method(path, card_of("kinecast", trained, data, settings, "", [each.name for each in recordings]), trained)
     card, method = read_method(path)
     if set(card.trained_on) != {each.name for each in recordings}:
         raise SystemExit(f"{path}: trained on other recordings than this benchmark trains on")
     assert isinstance(method, Horizon)
-    return replace(method, mixture=replace(method.mixture, actions=None)), method
+    return method
 
 
 def places(recordings: Sequence[Recording]) -> dict[str, Sphere | Box]:
@@ -283,62 +270,18 @@ def places(recordings: Sequence[Recording]) -> dict[str, Sphere | Box]:
 def on_vicon(data: Path, path: Path, samples: int, stride: int) -> dict[str, Any]:
     """The part `vicon`."""
     train_on, test_on = split(load_all([data / VICON]))
-    general, _ = model_of(train_on, path)
+    method = model_of(train_on, path)
     result: dict[str, Any] = {}
     for task in sorted({recording.task for recording in test_on}):
         scene = Scene((), places([recording for recording in train_on if recording.task == task]))
         tests = tests_of([recording for recording in test_on if recording.task == task], stride)
         result[task] = {
             "places": len(scene.goals),
-            "without": scores({"kinecast": general}, None, tests, samples)["kinecast"],
-            "with": scores({"kinecast": general}, scene, tests, samples)["kinecast"],
+            "without": scores({"kinecast": method}, None, tests, samples)["kinecast"],
+            "with": scores({"kinecast": method}, scene, tests, samples)["kinecast"],
         }
         print(line(task, result[task]), flush=True)
     return result
-
-
-def on_actions(data: Path, path: Path, samples: int, stride: int) -> dict[str, Any]:
-    """The part `actions`."""
-    train_on, test_on = split(load_all([data / VICON]))
-    general, whole = model_of(train_on, path)
-    actions = whole.mixture.actions
-    assert actions is not None
-    result: dict[str, Any] = {}
-    for task in sorted({recording.task for recording in test_on}):
-        tests = tests_of([recording for recording in test_on if recording.task == task], stride)
-        found = scores({"general": general, "per action": whole}, None, tests, samples)
-        result[task] = {
-            "without": found["general"],
-            "with": found["per action"],
-            **alone(whole, task, tests),
-        }
-        print(line(task, result[task]), flush=True)
-    return result
-
-
-def alone(method: Horizon, task: str, tests: Sequence[TestRecording]) -> dict[str, float]:
-    """The model of the right action on its own [mm], and how often online it has most of the weight of all actions."""
-    actions = method.mixture.actions
-    assert actions is not None
-    own = actions.labels.index(task)
-    errors, right, general = [], [], []
-    for test in tests:
-        memory = method.memory()
-        wanted = dict(zip(test.frames.tolist(), test.future, strict=True))
-        for frame, observation, measured in test.history:
-            method.follow(memory, observation, measured)
-            if frame in wanted:
-                forecast = actions.forecasts(observation.positions[None], method.steps)[0, own]
-                errors.append(1e3 * np.nanmean(joint_errors(forecast, wanted[frame])))
-                assert memory.current is not None
-                shares = list(memory.current.actions.values())
-                right.append(int(np.argmax(shares)) == own)
-                general.append(1.0 - sum(shares))
-    return {
-        "right_action_alone_mpjpe_mm": float(np.mean(errors)),
-        "right_action_leads": float(np.mean(right)),
-        "general_share": float(np.mean(general)),
-    }
 
 
 def line(name: str, each: dict[str, Any]) -> str:
@@ -354,7 +297,7 @@ def main() -> None:
     """Runs the parts asked for and writes each as it ends."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("KINECAST_DATA", "data")))
-    parser.add_argument("--parts", nargs="*", default=["goals", "cost", "vicon", "actions"])
+    parser.add_argument("--parts", nargs="*", choices=PARTS, default=PARTS)
     parser.add_argument("--model", type=Path, default=Path(tempfile.gettempdir()) / "kinecast-context.npz")
     parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--stride", type=int, default=5)
@@ -367,8 +310,7 @@ def main() -> None:
         elif part == "cost":
             found = on_cost(1000)
         else:
-            score = on_vicon if part == "vicon" else on_actions
-            found = score(arguments.data, arguments.model, arguments.samples, arguments.stride)
+            found = on_vicon(arguments.data, arguments.model, arguments.samples, arguments.stride)
         known = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
         known.pop("machine", None)
         save(

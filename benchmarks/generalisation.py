@@ -20,7 +20,7 @@ from kinecast.body.limits import JointLimits
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, all_windows
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.methods import TrainingOptions, limits_of, train

@@ -16,15 +16,19 @@ from pathlib import Path
 os.environ.setdefault("LOG_CFG", str(Path(__file__).parent / "logging.yaml"))
 
 import numpy as np
-from pyswarms.single import GlobalBestPSO
 from scipy.stats import truncnorm
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import ANGLES, postures_from_points
 from kinecast.prediction.observation import Observation, TrainingWindows
+
+try:
+    from pyswarms.single import GlobalBestPSO
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+except ImportError as error:
+    raise SystemExit(f"this benchmark needs optional packages ({error}): pip install 'kinecast[bench]'") from None
 
 LIMITS = JointLimits()
 LOWER, UPPER, SPEED = LIMITS.lower[:4], LIMITS.upper[:4], LIMITS.speed[:4]

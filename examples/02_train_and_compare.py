@@ -14,8 +14,8 @@ from kinecast import Predictor, PredictorOptions
 from kinecast.datasets.splits import by_subject, split_by
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import every_frame, followed, observations, training_windows
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
+from kinecast.pipeline import every_frame, training_windows
 from kinecast.prediction.methods import TrainingOptions, card_of, limits_of, save_method, train
 
 METHODS = ("zero_velocity", "damped_velocity", "ridge", "ridge_constrained")
@@ -34,11 +34,8 @@ def main() -> None:
     print(f"trained on {len(data)} windows of {len(split.train)} people, tested on {', '.join(split.held_out)}\n")
 
     # Methods that learn from the person in view are shown every frame; scores are taken at every tenth.
-    histories = {part.name: followed(part) for part in all_windows(split.test, every_frame(windows))}
-    tests = [
-        TestRecording(part.name, observations(part), part.future, part.frames, histories[part.name])
-        for part in all_windows(split.test, windows)
-    ]
+    histories = all_windows(split.test, every_frame(windows))
+    tests = TestRecording.of(all_windows(split.test, windows), histories)
     results, _ = evaluate(methods, tests, scene, EvaluationOptions(samples=200, repeats=0, limits=limits))
     print(f"{'':20} MPJPE mm  CRPS mm     NLL  inside 90 %  violations (range, speed, scene)")
     for name, scores in results["methods"].items():

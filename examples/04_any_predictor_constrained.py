@@ -16,7 +16,7 @@ import numpy as np
 from kinecast.datasets.splits import by_subject, split_by
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import observations, training_windows
 from kinecast.prediction.gaussian import PostureGaussian
 from kinecast.prediction.methods import TrainingOptions, limits_of

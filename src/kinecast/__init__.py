@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 # Threads of compiled loops that wait by spinning starve whatever else the robot runs, and then each other: with one
 # other busy process on two cores p99 of an online step was 80 ms, 14 ms without (docs/decisions/0015). Read once, when
@@ -44,7 +44,7 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-_HOMES = {
+MODULES = {
     "body.skeleton": ("ARM_JOINTS",),
     "errors": ("KinecastError",),
     "geometry.scene": ("Scene",),
@@ -52,11 +52,13 @@ _HOMES = {
     "predictor": ("Predictor", "PredictorOptions"),
     "types": ("Prediction", "SkeletonFrame", "Status", "Tubes"),
 }
-"""Where each public name lives: it is imported when first asked for, so that the package itself costs nothing."""
+"""Where public names are: imported when one is first used, so that the command line is there before NumPy is."""
 
 
-def __getattr__(name: str) -> object:
-    for home, names in _HOMES.items():
+def __getattr__(name: str) -> Any:
+    for module, names in MODULES.items():
         if name in names:
-            return getattr(import_module(f"{__name__}.{home}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            value = getattr(import_module(f"kinecast.{module}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'kinecast' has no attribute {name!r}")

@@ -78,7 +78,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.fixture
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Evaluations write their scores, and empty files for the rest: fast."""
-    from kinecast.evaluation import run
+    from kinecast.evaluation import report
 
     def draw(path: Path, *_: object) -> None:
         path.touch()
@@ -86,9 +86,9 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     def write(_metrics: object, _histograms: object, folder: Path, _pictures: object) -> None:
         (folder / "report.html").touch()
 
-    monkeypatch.setattr(run, "draw_prediction", draw)
-    monkeypatch.setattr(run, "animate_prediction", draw)
-    monkeypatch.setattr(run, "write_report", write)
+    monkeypatch.setattr(report, "draw_prediction", draw)
+    monkeypatch.setattr(report, "animate_prediction", draw)
+    monkeypatch.setattr(report, "write_report", write)
 
 
 @pytest.fixture(scope="session")

@@ -379,12 +379,12 @@ def test_trouble_while_writing_leaves_nothing(
     code: int,
     message: str,
 ) -> None:
-    from kinecast.evaluation import run
+    from kinecast.evaluation import report
 
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(run, "draw_prediction", fail)
+    monkeypatch.setattr(report, "draw_prediction", fail)
     options = ("--stride", 100, "--samples", 20, "--repeats", 0, "--out", tmp_path / "new" / "results")
     outcome = kinecast("evaluate", "--model", model, "--test", tables[1], *options)
     assert outcome.code == code

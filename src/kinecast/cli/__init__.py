@@ -1,67 +1,68 @@
-"""Where a person's arms will be over the next half second: train, score, predict."""
+"""The command `kinecast`. Nothing is imported here, so that Ctrl-C ends it quietly however early it comes."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
-from typing import Any
-
-import tyro
-
-from kinecast import __version__
-from kinecast.cli.calibrate import calibrate
-from kinecast.cli.convert import convert
-from kinecast.cli.demo import demo
-from kinecast.cli.download import download
-from kinecast.cli.evaluate import evaluate
-from kinecast.cli.info import info
-from kinecast.cli.live import live
-from kinecast.cli.predict import predict
-from kinecast.cli.progress import note
-from kinecast.cli.simulate import simulate
-from kinecast.cli.train import train
-from kinecast.errors import KinecastError
+import threading
+from collections.abc import Sequence
 
 __all__ = ["main"]
 
-COMMANDS: dict[str, Callable[..., Any]] = {
-    "demo": demo,
-    "info": info,
-    "convert": convert,
-    "download": download,
-    "train": train,
-    "evaluate": evaluate,
-    "predict": predict,
-    "live": live,
-    "calibrate": calibrate,
-    "simulate": simulate,
-}
-
-BAD_INPUT = 2
 INTERRUPTED = 130
-READER_GONE = 141
-"""As a shell reports a program ended by Ctrl-C, and one whose output nobody reads any more."""
+"""As a shell reports a program ended by Ctrl-C."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs one command. Exit code 2, and one line on standard error, for anything wrong with the input."""
-    arguments = sys.argv[1:] if arguments is None else arguments
-    if list(arguments) == ["--version"]:
-        print(f"kinecast {__version__}")
-        return
+    """Runs one command. Exit code 2, and one line on standard error, for anything wrong with the input.
+
+    Ctrl-C: exit code 130 and one line, whenever it comes. While modules are imported, and after the command, there is
+    nothing to tidy up, and the process ends at once; so it does when Ctrl-C comes again during tidying up.
+
+    Args:
+        arguments: after the program's name; None for those of this process, which then ends after the command.
+    """
+    interrupted = threading.Event()
+
+    def interrupt(*_: object) -> None:
+        if interrupted.is_set():
+            _leave()
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    def unraisable(problem: sys.UnraisableHookArgs) -> None:
+        """Where no exception can be raised, in a callback or a destructor, Ctrl-C is not lost: it comes again."""
+        if problem.exc_type is KeyboardInterrupt:
+            interrupted.clear()
+            threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
+        else:
+            hook(problem)
+
+    hook = sys.unraisablehook
+    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ours = ours and threading.current_thread() is threading.main_thread()
     try:
-        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="kinecast", args=arguments, description=__doc__)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains once more at its end
-        sys.exit(READER_GONE)
-    except (KinecastError, OSError) as error:
-        note(str(error), "red")
-        sys.exit(BAD_INPUT)
-    except MemoryError:
-        note("out of memory: fewer or shorter recordings, fewer samples or a shorter horizon need less", "red")
-        sys.exit(BAD_INPUT)
-    except KeyboardInterrupt:
-        note("interrupted")
-        sys.exit(INTERRUPTED)
+        if ours:
+            sys.unraisablehook = unraisable
+            signal.signal(signal.SIGINT, _leave)
+        from kinecast.cli.commands import run
+
+        if ours:
+            signal.signal(signal.SIGINT, interrupt)
+        run(sys.argv[1:] if arguments is None else arguments)
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) or (interrupted.is_set() and not isinstance(error, SystemExit)):
+            print("kinecast: interrupted", file=sys.stderr)  # also where something made another exception of it
+            raise SystemExit(INTERRUPTED) from None
+        raise
+    finally:
+        if ours:
+            sys.unraisablehook = hook
+            signal.signal(signal.SIGINT, _leave if arguments is None else signal.default_int_handler)
+
+
+def _leave(*_: object) -> None:
+    """Ends the process here and now."""
+    os.write(2, b"kinecast: interrupted\n")
+    os._exit(INTERRUPTED)

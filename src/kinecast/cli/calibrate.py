@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from kinecast.cameras.pinhole import PinholeCamera
 from kinecast.cameras.rig import Rig
-from kinecast.cli.destination import check_file
+from kinecast.cli.output_paths import check_file
 from kinecast.cli.progress import note
 from kinecast.errors import DatasetError, OptionError
 from kinecast.evaluation.output import write_atomically

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from tyro.conf import Positional, arg
 
-from kinecast.cli.destination import check_folder, without_empty_folders
 from kinecast.cli.options import Folder
+from kinecast.cli.output_paths import check_folder
 from kinecast.cli.progress import CONSOLE
 from kinecast.datasets.download import download as fetch
 from kinecast.datasets.download import public_sets
-
-__all__ = ["download"]
 
 
 def download(
@@ -38,6 +38,20 @@ def download(
     check_folder(out)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
     bars = Progress(*columns, console=CONSOLE, transient=True, disable=not CONSOLE.is_terminal)
-    with without_empty_folders((out / name).absolute()), bars as progress:
+    with _without_empty_folders((out / name).absolute()), bars as progress:
         files = fetch(name, out / name, progress, only, url)
     print(f"{len(files)} file{'s' * (len(files) != 1)} in {out / name}")
+
+
+@contextmanager
+def _without_empty_folders(out: Path) -> Iterator[None]:
+    """After an error, removes `out`, what is in it and what it is in, as far as they are empty and new."""
+    old = {folder for folder in (out, *out.parents, *out.rglob("*")) if folder.exists()}
+    try:
+        yield
+    except BaseException:
+        new = {out, *out.parents, *out.rglob("*")} - old
+        for folder in sorted(new, key=lambda folder: len(folder.parts), reverse=True):
+            with suppress(OSError):
+                folder.rmdir()
+        raise

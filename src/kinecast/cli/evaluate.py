@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.contestants import method_names, read_models, train_methods, warn_of_known, with_ablations
-from kinecast.cli.crew import crew
-from kinecast.cli.destination import check_folder
+from kinecast.cli.method_set import method_names, read_models, train_methods
 from kinecast.cli.options import (
     Action,
     ClusterPlace,
@@ -21,17 +21,18 @@ from kinecast.cli.options import (
     SceneFile,
     Switch,
     check_seed,
+    worker_pool,
 )
-from kinecast.cli.progress import progress_bar
+from kinecast.cli.output_paths import check_folder
+from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
-from kinecast.datasets.windows import WindowOptions, all_windows
+from kinecast.datasets.windows import WindowOptions, Windows, all_windows
 from kinecast.errors import OptionError
-from kinecast.evaluation.protocol import EvaluationOptions
-from kinecast.evaluation.tables import format_table
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import every_frame
-
-__all__ = ["evaluate"]
+from kinecast.prediction.forecast import Method
+from kinecast.tasks.workers import Serial, Workers
 
 DEFAULT_METHODS = (
     "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,gp_xyz,gp_angles,gp_constrained,kinecast"
@@ -86,7 +87,7 @@ def evaluate(
         cluster: spread the work over a Dask cluster that you trust: a scheduler's address, or N processes of this
             machine. Scores are the same to the last bit; latencies are those of the workers.
     """
-    from kinecast.evaluation.run import run_evaluation  # here, since drawing is an extra other commands do without
+    import kinecast.evaluation.report  # noqa: F401 - what is not installed is missed before the work, not after it
 
     if bool(train) == bool(model):
         raise OptionError("give either --train with recordings or --model with saved models")
@@ -100,40 +101,73 @@ def evaluate(
     if ablate and not model and "kinecast" not in names:
         raise OptionError("--ablate takes kinecast apart: name it among --methods")
     obstacles = None if scene is None else Scene.load(scene)
-    contestants = read_models(model, rate, window, horizon) if model else None
+    compared = read_models(model, rate, window, horizon) if model else None
     options = WindowOptions(
         rate=RATE if rate is None else rate,
         window=WINDOW if window is None else window,
         horizon=HORIZON if horizon is None else horizon,
     )
-    options = replace(contestants.windows if contestants else options, stride=stride, label=label)
-    with crew(cluster) as workers:
+    options = replace(compared.windows if compared else options, stride=stride, label=label)
+    with worker_pool(cluster) as workers:
         tested = read_recordings(test, format, "--test")
         parts = all_windows(tested, options, workers=workers)
         histories = all_windows(tested, every_frame(options), workers=workers)
-        if contestants is None:
+        if compared is None:
             recordings = unseen(read_recordings(train, format, "--train"), tested)
-            contestants = train_methods(names, recordings, options, obstacles, seed, workers)
+            compared = train_methods(names, recordings, options, obstacles, seed, workers)
         else:
-            warn_of_known(contestants, tested)
-        scored = tuple(contestants.methods)
-        if ablate:
-            contestants = replace(contestants, methods=with_ablations(contestants.methods))
+            compared.warn_of_known(tested)
         settings = {
-            "version": __version__,
-            "train": list(contestants.trained_on),
-            "models": {name: str(path) for name, path in zip(scored, model, strict=False)},
-            "rate": options.rate,
-            "window": options.window,
-            "horizon": options.horizon,
-            "stride": stride,
-            "label": label,
+            "train": list(compared.trained_on),
+            "models": {name: str(path) for name, path in zip(compared.methods, model, strict=False)},
             "scene": None if scene is None else scene.name,
         }
-        scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=contestants.limits)
-        with progress_bar("scoring") as progress:
-            metrics = run_evaluation(
-                out, contestants.methods, parts, histories, obstacles, scores, settings, progress, workers
-            )
+        if ablate:
+            compared = compared.with_ablations()
+        scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
+        score(out, compared.methods, parts, histories, options, obstacles, scores, settings, workers)
+
+
+def score(
+    out: Path,
+    methods: Mapping[str, Method],
+    parts: Sequence[Windows],
+    histories: Sequence[Windows],
+    windows: WindowOptions,
+    scene: Scene | None,
+    options: EvaluationOptions,
+    settings: Mapping[str, Any],
+    workers: Workers | None = None,
+) -> None:
+    """Scores methods, writes everything to a folder, and prints the table.
+
+    Args:
+        parts, histories: of each test recording its windows, and those that end with each of its frames.
+        windows: as which they were cut.
+        settings: what else to say about the run: `train`, `models` and `scene`.
+        out, methods, scene, options, workers: as for `run_evaluation`.
+    """
+    from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
+
+    recordings = TestRecording.of(parts, histories)
+    said = {
+        "version": __version__,
+        "train": settings["train"],
+        "models": settings.get("models", {}),
+        "rate": windows.rate,
+        "window": windows.window,
+        "horizon": windows.horizon,
+        "stride": windows.stride,
+        "label": windows.label,
+        "scene": settings["scene"],
+        "test": [part.name for part in parts],
+        "windows": sum(len(part) for part in parts),
+        "windows_left_out": sum(part.lost + part.not_whole for part in parts),
+    }
+    if workers is None or isinstance(workers, Serial):  # those of a cluster compile for themselves
+        with compiling():
+            warm_up(methods, recordings, scene, options)
+    with progress_bar("scoring") as progress:
+        metrics = run_evaluation(out, methods, recordings, scene, options, said, progress, workers)
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")

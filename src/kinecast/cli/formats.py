@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 from kinecast.datasets import table
 from kinecast.datasets.compressed import head
 from kinecast.datasets.loading import FORMATS, Format
 from kinecast.datasets.recording import Recording
-from kinecast.errors import MissingExtraError
-
-__all__ = ["FORMAT_NAMES", "MORE_FORMATS", "UNREAD", "WRITERS"]
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 PROFILE = slice(21, 25)
@@ -43,37 +39,19 @@ def _is_bag(path: Path) -> bool:
     return start.startswith(BAG1_MAGIC) or (start.startswith(MCAP_MAGIC) and start[PROFILE] == b"ros2")
 
 
-def _live(name: str) -> ModuleType:
-    """A module that needs the extra for live streams."""
-    try:
-        return importlib.import_module(f"kinecast.live.{name}")
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("MCAP and JSON lines", "live") from error
+def _lazily(module: str, function: str) -> Callable[..., Any]:
+    """A function of a module that is imported when the function is called: it needs an extra."""
 
+    def call(*arguments: Any) -> Any:
+        return getattr(importlib.import_module(f"kinecast.{module}"), function)(*arguments)
 
-def _load(module: str, path: Path) -> list[Recording]:
-    recordings: list[Recording] = _live(module).load(path)
-    return recordings
-
-
-def _write(module: str, path: Path, recordings: Sequence[Recording]) -> None:
-    _live(module).write(path, recordings)
-
-
-def _ros() -> ModuleType:
-    """The module that reads and writes bags, which needs an extra."""
-    return importlib.import_module("kinecast.ros.bags")
-
-
-def _load_bag(path: Path) -> list[Recording]:
-    recordings: list[Recording] = _ros().load(path)
-    return recordings
+    return call
 
 
 MORE_FORMATS = (
-    Format("bag", _is_bag, _load_bag),
-    Format("mcap", _is_mcap, partial(_load, "mcap_file")),
-    Format("jsonl", _is_jsonl, partial(_load, "message_file")),
+    Format("bag", _is_bag, _lazily("ros.bags", "load")),
+    Format("mcap", _is_mcap, _lazily("live.mcap_file", "load")),
+    Format("jsonl", _is_jsonl, _lazily("live.message_file", "load")),
 )
 """Read beside those of kinecast.datasets.loading."""
 
@@ -83,10 +61,10 @@ FORMAT_NAMES = tuple(sorted((*FORMATS, *(each.name for each in MORE_FORMATS))))
 WRITERS: Mapping[str, Callable[[Path, Sequence[Recording]], None]] = {
     ".parquet": table.write,
     ".csv": table.write,
-    ".mcap": partial(_write, "mcap_file"),
-    ".jsonl": partial(_write, "message_file"),
-    ".bag": lambda path, recordings: _ros().write(path, recordings),
-    ".rosbag2": lambda path, recordings: _ros().write(path, recordings),
+    ".mcap": _lazily("live.mcap_file", "write"),
+    ".jsonl": _lazily("live.message_file", "write"),
+    ".bag": _lazily("ros.bags", "write"),
+    ".rosbag2": _lazily("ros.bags", "write"),
 }
 """What writes a file of each ending, or with `.rosbag2` a folder; recordings are of different persons."""
 

@@ -12,8 +12,6 @@ from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings
 from kinecast.datasets.summary import summarise
 
-__all__ = ["info"]
-
 
 def info(
     paths: What,

@@ -1,30 +1,19 @@
-"""Types of the options that several commands share: how help names them and what it says of their defaults."""
+"""Options that several commands share: how help names them, what it says of their defaults, and what they stand for."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from kinecast.cli.formats import FORMAT_NAMES
+from kinecast.cli.progress import note
 from kinecast.errors import OptionError
 from kinecast.prediction.methods import METHODS
-
-__all__ = [
-    "Action",
-    "ClusterPlace",
-    "File",
-    "Folder",
-    "FormatName",
-    "Many",
-    "MethodName",
-    "MethodNames",
-    "SceneFile",
-    "Switch",
-    "What",
-    "check_seed",
-]
+from kinecast.tasks.workers import Serial, Workers
 
 _METHODS = "".join(f"\n• {name}: {about}" for name, about in METHODS.items())
 
@@ -36,10 +25,7 @@ Switch = FlagCreatePairsOff[bool]
 SceneFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
 ClusterPlace = Annotated[
     str | None,
-    arg(
-        metavar="ADDRESS|local[:N]",
-        help_behavior_hint="(default: this process)",
-    ),
+    arg(metavar="ADDRESS|local[:N]", help_behavior_hint="(default: this process)"),
 ]
 Action = Annotated[str | None, arg(metavar="ACTION", help_behavior_hint="(default: all)")]
 FormatName = Annotated[
@@ -68,3 +54,17 @@ def check_seed(seed: int) -> None:
     """Raises OptionError for a seed that no random generator takes."""
     if seed < 0:
         raise OptionError(f"seed is {seed}, allowed is 0 or more")
+
+
+@contextmanager
+def worker_pool(where: str | None) -> Iterator[Workers]:
+    """Workers for as long as they are needed: of a cluster (kinecast.tasks.cluster.cluster_at), or this process."""
+    if where is None:
+        yield Serial()
+        return
+    from kinecast.tasks.cluster import cluster_at  # here, since clusters are an extra
+
+    with cluster_at(where) as cluster:
+        count = len(cluster.client.scheduler_info(n_workers=-1)["workers"])
+        note(f"cluster {where}: {count} worker{'s' * (count != 1)}")
+        yield cluster

@@ -10,17 +10,15 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from kinecast.cli.destination import check_file
 from kinecast.cli.options import File, FormatName, SceneFile, check_seed
-from kinecast.cli.progress import progress_bar
+from kinecast.cli.output_paths import check_file
+from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.datasets.table_file import Rows, Words, write_rows
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import stream
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import Prediction, Status
-
-__all__ = ["predict"]
 
 UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
 """Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
@@ -53,7 +51,8 @@ def predict(
     options = PredictorOptions(samples=samples, seed=seed)
     obstacles = None if scene is None else Scene.load(scene)
     recordings = one_scene(read_recordings((path,), format), path, "predict")
-    predictor = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
+    with compiling():
+        predictor = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
     predictions: list[Prediction] = []
     total = sum(len(recording.stamps) for recording in recordings)
     with progress_bar("predicting") as progress:

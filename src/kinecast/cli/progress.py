@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-__all__ = ["CONSOLE", "note", "progress_bar"]
-
 CONSOLE = Console(stderr=True)
+
+PATIENCE = 2.0
+"""Compiling is mentioned where it takes longer than this [s]."""
 
 
 @contextmanager
@@ -19,11 +21,19 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=CONSOLE, transient=True, disable=not CONSOLE.is_terminal) as progress:
         task = progress.add_task(title, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
 
-        def update(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
 
-        yield update
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Around the first prediction: says that it compiles, as it does once on each machine, if it takes over 2 s."""
+    timer = threading.Timer(PATIENCE, note, ["compiling once for this machine ..."])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def note(text: str, style: str = "") -> None:

@@ -12,16 +12,9 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 
-__all__ = ["listed", "one_scene", "read_recordings", "unseen"]
-
 
 def read_recordings(paths: Sequence[Path], format: str | None, option: str = "") -> list[Recording]:
-    """Every recording in files or folders, with a progress bar.
-
-    Args:
-        paths: files and folders.
-        format: name of their format, or None to find it.
-        option: that the paths were given with, for the message.
+    """Every recording in files or folders, with a progress bar; `option` is what the paths were given with.
 
     Raises:
         OptionError: no paths.
@@ -34,15 +27,7 @@ def read_recordings(paths: Sequence[Path], format: str | None, option: str = "")
 
 
 def one_scene(recordings: Sequence[Recording], path: Path, command: str) -> Sequence[Recording]:
-    """Recordings made at the same time, of one person each.
-
-    Args:
-        recordings: all that a path holds.
-        path, command: for the message.
-
-    Raises:
-        OptionError: they are not.
-    """
+    """All recordings that a path holds; OptionError unless they may be of one scene, a person each."""
     if len({recording.person for recording in recordings}) < len(recordings):
         names = listed([recording.name for recording in recordings])
         raise OptionError(f"{path}: holds {len(recordings)} recordings ({names}); {command} takes one")
@@ -50,11 +35,7 @@ def one_scene(recordings: Sequence[Recording], path: Path, command: str) -> Sequ
 
 
 def unseen(train: Sequence[Recording], test: Sequence[Recording]) -> list[Recording]:
-    """The training recordings that are not test recordings too, by content: names and places may differ.
-
-    Raises:
-        OptionError: none is left.
-    """
+    """The training recordings that are not test recordings too, by content; OptionError if none is left."""
     tested = {_content(recording) for recording in test}
     kept = [recording for recording in train if _content(recording) not in tested]
     left_out = [recording.name for recording in train if _content(recording) in tested]

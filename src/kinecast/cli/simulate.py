@@ -11,8 +11,8 @@ import numpy as np
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.destination import check_folder
 from kinecast.cli.options import Switch, check_seed
+from kinecast.cli.output_paths import check_folder
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from kinecast.robot.outcome import Outcome
     from kinecast.robot.person import PlayedPerson
     from kinecast.types import Decision
-
-__all__ = ["Cast", "closing_table", "sentence", "simulate", "write"]
 
 SYNTHETIC = "synthetic"
 OUT = Path("kinecast-simulate")

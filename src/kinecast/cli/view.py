@@ -17,8 +17,6 @@ from kinecast.view.runs import Setting
 from kinecast.view.server import check_address
 from kinecast.view.viewer import Viewer
 
-__all__ = ["serve"]
-
 RECORDED = "recorded person"
 
 

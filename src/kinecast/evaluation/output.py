@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["all_or_none", "write_atomically"]
-
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that a reader sees the old one or all of the new one, also after a crash.

@@ -1,19 +1,19 @@
-"""A prediction drawn over a real motion: what was seen, where the arms may go, where they went."""
+"""A prediction drawn over a real motion: what was seen, where the arms may go, where they went; still, or as a GIF."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
 from kinecast.evaluation.output import write_atomically
-from kinecast.evaluation.palette import BLUE, INK, MUTED, RED
-from kinecast.evaluation.plots import STYLE, drawable
+from kinecast.evaluation.plots import BLUE, INK, MUTED, RED, STYLE, drawable, save_figure
 from kinecast.evaluation.scenery import OBSTACLE, Camera, draw_obstacles
 from kinecast.geometry.scene import Scene
 
@@ -21,15 +21,14 @@ try:
     import matplotlib as mpl
     from matplotlib.axes import Axes
     from matplotlib.collections import LineCollection
-    from matplotlib.colors import LinearSegmentedColormap, to_rgba
+    from matplotlib.colors import LinearSegmentedColormap, to_rgb
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Polygon
     from matplotlib.patheffects import Normal, Stroke
+    from PIL import Image
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
-
-__all__ = ["Moment", "draw_prediction"]
 
 BODY = "#e6e9ed"
 AHEAD = LinearSegmentedColormap.from_list("ahead", ["#86cdee", BLUE, "#43278c"])
@@ -39,11 +38,17 @@ DASHES = (0, (2.2, 1.3))
 
 WRISTS = (2, 5)
 SHOULDERS = (0, 3)
-MOST_SAMPLES = 150
-"""Drawing more samples than this adds ink, not knowledge."""
+UP = np.array([0.0, 0.0, 1.0])
 
 TALL = 0.4
 """The head ends so far above the shoulders [m]."""
+
+SLOWER = 3.0
+"""A GIF plays a prediction so many times slower than life."""
+
+COLOURS = 128
+LARGEST = 3_000_000
+"""Bytes of a GIF: what a page loads without a pause."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,6 @@ class Moment:
         mean: (T, 6, 3) their mean [m].
         dt: time between steps [s].
         truth: (T, 6, 3) what happened [m], NaN where unknown; None if nothing is known.
-        outside: (S, T), or (S, T, 6) joint by joint: True where a sample breaks a limit. From there on
-            both arms, or the one concerned, are drawn in the colour of errors.
         stamp: time now on the clock of moving obstacles [s].
     """
 
@@ -66,14 +69,12 @@ class Moment:
     mean: Float[np.ndarray, "T 6 3"]
     dt: float
     truth: Float[np.ndarray, "T 6 3"] | None = None
-    outside: Bool[np.ndarray, "S T"] | Bool[np.ndarray, "S T 6"] | None = None
     stamp: float = 0.0
 
     @property
     def now(self) -> Float[np.ndarray, "6 3"]:
         """(6, 3) the last frame seen [m]."""
-        last: np.ndarray = self.observed[-1]
-        return last
+        return np.asarray(self.observed[-1])
 
     @property
     def horizon(self) -> float:
@@ -85,9 +86,19 @@ class Moment:
         """Rows: the person's forward and left, both level, and up."""
         across = (self.now[0] - self.now[3]) * (1.0, 1.0, 0.0)
         length = float(np.linalg.norm(across))
-        left: np.ndarray = across / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
-        up = np.array([0.0, 0.0, 1.0])
-        return np.stack([np.cross(left, up), left, up])
+        left = across / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+        return np.stack([np.cross(left, UP), left, UP])
+
+    @cached_property
+    def around(self) -> Float[np.ndarray, "K 3"]:
+        """(K, 3) what a picture must hold [m]: poses seen, predicted and true, the head, most samples."""
+        parts = [self.observed, self.mean, self.now[list(SHOULDERS)] + TALL * UP]
+        if len(self.samples):
+            parts.append(np.quantile(self.samples, (0.02, 0.98), axis=0))
+        if self.truth is not None:
+            parts.append(self.truth)
+        points = np.concatenate([part.reshape(-1, 3) for part in parts])
+        return np.asarray(points[np.isfinite(points).all(axis=-1)])
 
 
 def draw_prediction(path: Path, moment: Moment, scene: Scene | None = None, title: str = "") -> None:
@@ -99,23 +110,22 @@ def draw_prediction(path: Path, moment: Moment, scene: Scene | None = None, titl
         scene: obstacles around the person.
         title: above the picture; any text.
     """
-    around = surroundings([moment])
     forward, left, up = moment.body
     foot = moment.now[list(SHOULDERS)].mean(axis=0) * (1.0, 1.0, 0.0)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.4, 5.9))
         main = figure.add_axes((0.01, 0.11, 0.64, 0.81))
         main.set_axis_off()
-        camera = perspective([moment])
-        draw_moment(main, camera, moment, scene, around)
-        fit([main], [camera], around)
+        camera = perspective(moment)
+        _draw_moment(main, camera, moment, scene)
+        _fit([main], [camera], moment)
 
         front, above = figure.add_axes((0.725, 0.56, 0.26, 0.36)), figure.add_axes((0.725, 0.1, 0.26, 0.36))
         cameras = Camera(foot, np.stack([left, up, forward])), Camera(foot, np.stack([left, forward, up]))
         for axes, camera in zip((front, above), cameras, strict=True):
-            draw_moment(axes, camera, moment, scene, around, scale=0.5)
+            _draw_moment(axes, camera, moment, scene, scale=0.5)
             axes.tick_params(labelsize=8.5)
-        fit([front, above], cameras, around)
+        _fit([front, above], cameras, moment)
         front.set_title("From the front", fontsize=9.5)
         front.set_ylabel("height [m]")
         front.tick_params(labelbottom=False)
@@ -124,42 +134,90 @@ def draw_prediction(path: Path, moment: Moment, scene: Scene | None = None, titl
         above.set_xlabel("to the person's left [m]")
         above.invert_yaxis()  # the person faces the reader here as in the view from the front
 
-        draw_title(figure, title, 13.0)
+        _draw_title(figure, title, 13.0)
         _legend(figure, moment, scene)
-        draw_time_bar(figure, (0.03, 0.075, 0.15, 0.016), moment.horizon)
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", facecolor="white")
-    write_atomically(path, stream.getvalue())
+        _draw_time_bar(figure, (0.03, 0.075, 0.15, 0.016), moment.horizon)
+    save_figure(figure, path)
 
 
-def perspective(shown: Sequence[Moment]) -> Camera:
-    """Seen from in front, a little to the person's left and from above; one camera for all moments."""
-    forward, left, up = shown[len(shown) // 2].body
+def animate_prediction(path: Path, moment: Moment, scene: Scene | None = None, title: str = "") -> None:
+    """Play one moment as GIF, three times slower than life: the window seen, the prediction, what happened.
+
+    Args:
+        path: of the GIF, at most 3 MB.
+        moment: what to play; without truth the mean alone goes on.
+        scene: obstacles around the person.
+        title: above the picture; any text.
+    """
+    seen, steps = len(moment.observed), len(moment.mean)
+    camera = perspective(moment)
+
+    def figures() -> Iterator[Figure]:
+        for step in range(-seen, steps):
+            figure = Figure(figsize=(6.4, 5.0), dpi=100, facecolor="white")
+            axes = figure.add_axes((0.01, 0.11, 0.98, 0.80))
+            axes.set_axis_off()
+            now = (step + 1) * moment.dt
+            what = "seen" if now < 0 else "prediction and what happened" if now > 0 else "prediction"
+            _draw_title(figure, title, 11.0)
+            _draw_time_bar(figure, (0.05, 0.065, 0.25, 0.018), moment.horizon, now)
+            figure.text(0.96, 0.055, f"{what}   {now:+.2f} s".replace("-", "−"), ha="right", fontsize=9.5)
+            _draw_moment(axes, camera, moment, scene, most=80, step=step)
+            _fit([axes], [camera], moment)
+            yield figure
+
+    slow = SLOWER * moment.dt
+    write_gif(path, figures(), [slow] * (seen - 1) + [6 * slow] + [slow] * (steps - 1) + [12 * slow])
+
+
+def perspective(moment: Moment) -> Camera:
+    """Seen from in front, a little to the person's left and from above."""
+    forward, left, up = moment.body
     turn, rise = np.radians(32.0), np.radians(21.0)
     towards = np.cos(rise) * (np.cos(turn) * forward + np.sin(turn) * left) + np.sin(rise) * up
     right = np.cross(up, towards) / np.cos(rise)
-    middle = np.mean([moment.now.mean(axis=0) for moment in shown], axis=0)
-    return Camera(middle, np.stack([right, np.cross(towards, right), towards]), distance=3.2)
+    return Camera(moment.now.mean(axis=0), np.stack([right, np.cross(towards, right), towards]), distance=3.2)
 
 
-def surroundings(shown: Sequence[Moment]) -> Float[np.ndarray, "K 3"]:
-    """(K, 3) what a picture must hold [m]: poses seen, predicted and true, heads, most samples."""
-    parts = []
-    for moment in shown:
-        head = moment.now[list(SHOULDERS)] + np.array([0.0, 0.0, TALL])
-        parts += [moment.observed, moment.mean, head[None]]
-        if len(moment.samples):
-            parts.append(np.quantile(moment.samples, (0.02, 0.98), axis=0))
-        if moment.truth is not None:
-            parts.append(moment.truth)
-    points = np.concatenate([part.reshape(-1, 3) for part in parts])
-    known: np.ndarray = points[np.isfinite(points).all(axis=-1)]
-    return known
+def write_gif(path: Path, figures: Iterable[Figure], seconds: Sequence[float]) -> None:
+    """Write figures as a looping GIF, smaller where that is needed to stay under the largest size."""
+    with mpl.rc_context(STYLE):
+        pictures = [_pixels(figure) for figure in figures]
+    times = [max(20, round(100 * second) * 10) for second in seconds]  # a GIF counts in hundredths
+    for shrink in (1.0, 0.8, 0.64, 0.5, 0.4):
+        width, height = (round(shrink * side) for side in pictures[0].size)
+        scaled = [picture.resize((width, height)) for picture in pictures] if shrink < 1.0 else pictures
+        palette = _palette(scaled)
+        frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in scaled]
+        stream = io.BytesIO()
+        frames[0].save(stream, "GIF", save_all=True, append_images=frames[1:], duration=times, loop=0, optimize=False)
+        if stream.tell() <= LARGEST:
+            break
+    write_atomically(path, stream.getvalue())
 
 
-def fit(pages: Sequence[Axes], cameras: Sequence[Camera], around: Float[np.ndarray, "K 3"]) -> None:
+def _palette(pictures: Sequence[Image.Image]) -> Image.Image:
+    """A picture with the colours of all, found on three of them; large areas keep theirs exactly."""
+    sheet = np.concatenate([np.asarray(pictures[k]) for k in (0, len(pictures) // 2, -1)])
+    exact = [round(255 * value) for colour in ("white", BODY, OBSTACLE, INK, RED) for value in to_rgb(colour)]
+    others = Image.fromarray(sheet).quantize(COLOURS - len(exact) // 3, method=Image.Quantize.MAXCOVERAGE)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*exact, *(others.getpalette() or [])][: 3 * COLOURS])
+    return palette
+
+
+def _pixels(figure: Figure) -> Image.Image:
+    """A figure as it looks."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="rgba", dpi=figure.dpi)
+    width, height = (round(side) for side in figure.bbox.size)
+    rgba = np.frombuffer(stream.getvalue(), np.uint8).reshape(height, width, 4)
+    return Image.fromarray(np.ascontiguousarray(rgba[..., :3]))
+
+
+def _fit(pages: Sequence[Axes], cameras: Sequence[Camera], moment: Moment) -> None:
     """Choose limits that hold all points around, with one scale for all pages, which are equally large."""
-    flat = [camera.page(around) for camera in cameras]
+    flat = [camera.page(moment.around) for camera in cameras]
     half = np.max([places.max(axis=0) - places.min(axis=0) for places in flat], axis=0) / 2
     half = half + 0.12 * half.max()
     page = np.diff(pages[0].get_position().get_points() * pages[0].figure.bbox.size, axis=0)[0]
@@ -171,43 +229,37 @@ def fit(pages: Sequence[Axes], cameras: Sequence[Camera], around: Float[np.ndarr
         axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
 
 
-def draw_moment(
+def _draw_moment(
     axes: Axes,
     camera: Camera,
     moment: Moment,
     scene: Scene | None,
-    around: Float[np.ndarray, "K 3"],
     *,
     scale: float = 1.0,
-    most: int = MOST_SAMPLES,
-    seen: int | None = None,
+    most: int = 150,
     step: int | None = None,
 ) -> None:
-    """Draw a moment as a camera sees it.
+    """Draw a moment, and obstacles where they are at the time that is shown, as a camera sees them.
 
     Args:
-        axes: to draw on.
-        camera: the view.
-        moment: what to draw.
-        scene: obstacles, where they are at the time that is shown.
-        around: (K, 3) what else the picture holds [m]: endless planes are drawn around it.
         scale: of line widths.
-        most: samples to draw.
-        seen: only the first so many frames of the window, and no prediction.
-        step: only the poses predicted and measured at this step, −1 for now; None for all in one picture.
+        most: samples to draw; more of them would add ink, not knowledge.
+        step: only the poses predicted and measured at this step, −1 for now, before it only the window up to there
+            and no prediction; None for all in one picture.
     """
-    observed = moment.observed if seen is None else moment.observed[:seen]
-    now = observed[-1]
-    ahead = 0.0 if seen is not None else moment.horizon if step is None else (step + 1) * moment.dt
+    past = min(-1 if step is None else step, -1)
+    observed = moment.observed[: len(moment.observed) + past + 1]
+    now, steps = observed[-1], len(moment.mean)
+    shown = steps - 1 if step is None else step
     if scene is not None:
-        draw_obstacles(axes, camera, scene, moment.stamp, moment.stamp + ahead, around)
-    if seen is None and step is not None and step >= 0 and moment.truth is not None:
+        end = moment.stamp + max(shown + 1, 0) * moment.dt
+        draw_obstacles(axes, camera, scene, moment.stamp, end, moment.around)
+    if step is not None and step >= 0 and moment.truth is not None:
         now = moment.truth[step]
     _silhouette(axes, camera, now, scale)
     for age, pose in enumerate(observed[-2::-1]):
         _arms(axes, camera, pose, MUTED, 2.0 * scale, alpha=0.45 * 0.75**age)
-    if seen is None:
-        shown = len(moment.mean) - 1 if step is None else step
+    if past == -1:
         _samples(axes, camera, moment, shown, scale, most)
         _mean(axes, camera, moment, shown, scale)
         if step is None and moment.truth is not None:
@@ -215,23 +267,16 @@ def draw_moment(
     _arms(axes, camera, now, INK, 4.5 * scale, halo=True, joints=True)
 
 
-def draw_title(figure: Figure, title: str, size: float) -> None:
+def _draw_title(figure: Figure, title: str, size: float) -> None:
     """Write a title at the top left, smaller where it would not fit."""
     room = 72 * 0.96 * figure.get_figwidth() / (0.7 * max(len(title), 1))  # a bold letter is 0.7 of its size wide
     figure.text(0.02, 0.955, drawable(title), fontsize=min(size, room), weight="bold", va="center")
 
 
-def draw_time_bar(
+def _draw_time_bar(
     figure: Figure, place: tuple[float, float, float, float], horizon: float, now: float | None = None
 ) -> None:
-    """The colours of the time ahead, with a mark where the picture is.
-
-    Args:
-        figure: to draw on.
-        place: left, bottom, width, height on it.
-        horizon: of the prediction [s].
-        now: time of the picture [s]; no mark for None or before 0.
-    """
+    """The colours of the time ahead [s], with a mark where the picture is, if that is not before 0."""
     axes = figure.add_axes(place)
     axes.imshow(np.linspace(0, 1, 256)[None], cmap=AHEAD, aspect="auto", extent=(0, horizon, 0, 1))
     axes.set_yticks([])
@@ -245,29 +290,19 @@ def draw_time_bar(
 
 
 def _samples(axes: Axes, camera: Camera, moment: Moment, shown: int, scale: float, most: int) -> None:
-    """Wrist paths of the samples, coloured by time; dots, or crosses outside limits, at the step shown."""
-    every = max(1, -(-len(moment.samples) // most))
-    samples = moment.samples[::every]
+    """Wrist paths of the samples, coloured by time, and dots at the step shown."""
+    samples = moment.samples[:: max(1, -(-len(moment.samples) // most))]
     count, steps = samples.shape[:2]
-    outside = np.zeros((count, steps, 6), bool)
-    if moment.outside is not None:
-        outside |= np.atleast_3d(moment.outside[::every])
-    faint = min(1.0, 30.0 / max(count, 1))
+    colours = np.tile(AHEAD(np.linspace(0, 1, steps)), (count, 1, 1))
+    colours[..., 3] = min(1.0, 30.0 / max(count, 1))
     for wrist in WRISTS:
-        broken = np.maximum.accumulate(outside[..., wrist - 2 : wrist + 1].any(axis=-1), axis=1)
         paths = camera.page(_from_now(moment, samples, wrist))
-        pieces = np.stack([paths[:, :-1], paths[:, 1:]], axis=2).reshape(-1, 2, 2)
-        colours = np.tile(AHEAD(np.linspace(0, 1, steps)), (count, 1, 1))
-        colours[..., 3] = faint
-        colours[broken] = to_rgba(RED, min(1.0, 2 * faint))
-        order = np.argsort((broken * steps + np.arange(steps)).ravel(), kind="stable")  # late and red on top
-        lines = LineCollection(list(pieces[order]), colors=colours.reshape(-1, 4)[order], lw=1.1 * scale, zorder=4)
-        axes.add_collection(lines)
+        pieces = np.stack([paths[:, :-1], paths[:, 1:]], axis=2).swapaxes(0, 1).reshape(-1, 2, 2)  # late ones on top
+        inks = colours.swapaxes(0, 1).reshape(-1, 4)
+        axes.add_collection(LineCollection(list(pieces), colors=inks, lw=1.1 * scale, zorder=4))
         if shown >= 0:
-            ends, bad = paths[:, shown + 1], broken[:, shown]
             colour = AHEAD((shown + 1) / steps)
-            axes.plot(*ends[~bad].T, "o", color=colour, ms=3 * scale, mew=0, alpha=0.4, zorder=4)
-            axes.plot(*ends[bad].T, "x", color=RED, ms=5 * scale, mew=1.2 * scale, alpha=0.85, zorder=8)
+            axes.plot(*paths[:, shown + 1].T, "o", color=colour, ms=3 * scale, mew=0, alpha=0.4, zorder=4)
 
 
 def _mean(axes: Axes, camera: Camera, moment: Moment, shown: int, scale: float) -> None:
@@ -323,12 +358,12 @@ def _silhouette(axes: Axes, camera: Camera, pose: Float[np.ndarray, "6 3"], scal
     left, right = pose[list(SHOULDERS)]
     if not np.isfinite([left, right]).all():
         return
-    middle, across, up = (left + right) / 2, (left - right) / 2, np.array([0.0, 0.0, 1.0])
+    middle, across = (left + right) / 2, (left - right) / 2
     trunk = np.stack([
-        left, left - 0.5 * up - 0.3 * across, right - 0.5 * up + 0.3 * across, right,
-        middle + 0.06 * up - 0.7 * across, middle + 0.06 * up + 0.7 * across,
+        left, left - 0.5 * UP - 0.3 * across, right - 0.5 * UP + 0.3 * across, right,
+        middle + 0.06 * UP - 0.7 * across, middle + 0.06 * UP + 0.7 * across,
     ])  # fmt: skip
-    flat, (neck, crown) = camera.page(trunk), camera.page(np.stack([middle, middle + 0.27 * up]))
+    flat, (neck, crown) = camera.page(trunk), camera.page(np.stack([middle, middle + 0.27 * UP]))
     turn = np.linspace(0, 2 * np.pi, 60)
     head = crown + np.stack([0.078 * np.cos(turn), 0.1 * np.sin(turn)], axis=-1)
     for outline in (flat, np.stack([neck, crown]), head):
@@ -352,8 +387,6 @@ def _legend(figure: Figure, moment: Moment, scene: Scene | None) -> None:
     ]
     if moment.truth is not None:
         handles.append(Line2D([], [], color=INK, lw=1.6, ls=DASHES, label="what happened"))
-    if moment.outside is not None and moment.outside.any():
-        handles.append(Line2D([], [], color=RED, lw=1.2, marker="x", ms=5, label="breaks a limit"))
     if scene is not None and scene.obstacles:
         handles.append(Line2D([], [], color=OBSTACLE, lw=7, label="obstacle"))
     figure.legend(

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import html
 import io
+import math
 import re
+import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeGuard
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
 from kinecast.evaluation.output import write_atomically
-from kinecast.evaluation.palette import INK, MUTED, method_style
 
 try:
     import matplotlib as mpl
@@ -29,19 +31,16 @@ try:
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
 
-Chart: TypeAlias = Figure
+INK = "#1b1f24"
+"""Colour of text and axes; `figure_svg` turns it into the page's own."""
 
-__all__ = [
-    "Chart",
-    "drawable",
-    "figure_svg",
-    "plot_coverage",
-    "plot_coverage_by_horizon",
-    "plot_error_by_horizon",
-    "plot_nll_histograms",
-    "plot_violations",
-    "save_figure",
-]
+MUTED = "#808890"
+"""Grid lines, references and remarks: legible on white and on black."""
+
+# Okabe and Ito's colour-blind safe hues at a lightness for white and black pages. Trivial baselines are grey.
+GREY, GOLD, GREEN, PINK, ORANGE, RED, SKY, BLUE, VIOLET = (
+    "#878f99", "#a8862a", "#0f9d76", "#c0709c", "#d9901a", "#d95f1e", "#3f9fd6", "#1f78c8", "#8a6fd1",
+)  # fmt: skip
 
 LEAST_SPREAD = 0.01
 """Half the width of a histogram of values that hardly differ [nats]: a method without randomness repeats itself."""
@@ -76,35 +75,63 @@ STYLE: dict[Any, Any] = {
     "savefig.dpi": 160,
 }
 
-
-def plot_error_by_horizon(errors_mm: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Chart:
-    """Error over the time ahead, a line per method.
-
-    Args:
-        errors_mm: MPJPE [mm] per step, by method; None where nothing was scored.
-        horizon: time ahead of the last step [s]; without it the axis counts steps.
-    """
-    return _over_horizon(errors_mm, horizon, "Mean joint error over the horizon [mm]")
+UNKNOWN = "–"
+"""Shown for a value that is missing or not finite."""
 
 
-def plot_coverage_by_horizon(
-    coverage: Mapping[str, Sequence[float | None]], horizon: float | None = None, level: float = 0.9
-) -> Chart:
-    """Share of true positions inside their region over the time ahead, a line per method.
+@dataclass(frozen=True)
+class MethodStyle:
+    """How one method looks in every chart. Shape tells methods apart where colour does not."""
 
-    Args:
-        coverage: share in [0, 1] per step, by method; None where nothing was scored.
-        horizon: time ahead of the last step [s]; without it the axis counts steps.
-        level: the share it should be, drawn for reference.
-    """
-    percent = {name: [None if v is None else 100 * v for v in shares] for name, shares in coverage.items()}
-    title = f"Inside the {100 * level:g} % region over the horizon [%]"
-    return _over_horizon(percent, horizon, title, should_be=100 * level)
+    colour: str
+    marker: str
+    dashes: tuple[float, ...] = ()
+    width: float = 1.7
+
+
+METHODS = {
+    "zero_velocity": MethodStyle(GREY, "o", (1.0, 2.0)),
+    "constant_velocity": MethodStyle(GREY, "s", (4.0, 2.0)),
+    "damped_velocity": MethodStyle(GREY, "D"),
+    "kalman": MethodStyle(GOLD, "v"),
+    "ridge": MethodStyle(GREEN, "^"),
+    "gp_xyz": MethodStyle(PINK, "P", (6.0, 2.0)),
+    "gp_angles": MethodStyle(ORANGE, "X", (6.0, 2.0)),
+    "gp_constrained": MethodStyle(RED, "*"),
+    "kinecast": MethodStyle(BLUE, "o", width=2.6),
+}
+SPARE = tuple(
+    MethodStyle(colour, marker, dashes)
+    for dashes in ((), (2.0, 1.5))
+    for colour, marker in ((SKY, "h"), (VIOLET, "d"), (GREEN, "<"), (PINK, ">"), (GOLD, "p"))
+)
+
+
+def method_style(name: str) -> MethodStyle:
+    """The look of a method: always the same for the same name. `x_constrained` is x with dashes."""
+    if name in METHODS:
+        return METHODS[name]
+    base = METHODS.get(name.removesuffix("_constrained"))
+    if base is not None:
+        return MethodStyle(base.colour, base.marker, (3.0, 1.5), base.width)
+    return SPARE[zlib.crc32(name.encode()) % len(SPARE)]
+
+
+def plot_error_by_horizon(errors_mm: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Figure:
+    """MPJPE [mm] over the time ahead, a line per method; without the horizon [s] the axis counts steps."""
+    errors = {name: _floats(steps) for name, steps in errors_mm.items()}
+    return _over_horizon(errors, horizon, "Mean joint error over the horizon [mm]")
+
+
+def plot_coverage_by_horizon(coverage: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Figure:
+    """Share of true positions inside the 90 % region over the time ahead, a line per method."""
+    shares = {name: 100 * _floats(steps) for name, steps in coverage.items()}
+    return _over_horizon(shares, horizon, "Inside the 90 % region over the horizon [%]", should_be=90.0)
 
 
 def plot_nll_histograms(
     nll: Mapping[str, Float[np.ndarray, "..."]], stderr: Mapping[str, float | None] | None = None
-) -> Chart:
+) -> Figure:
     """Negative log likelihood by method: mean with standard error, and the histogram around that mean.
 
     Methods differ by far more than repeats of one method do, so each histogram is drawn around its own
@@ -136,12 +163,8 @@ def plot_nll_histograms(
     return figure
 
 
-def plot_coverage(coverage: Mapping[str, Mapping[str, float | None]]) -> Chart:
-    """How often the truth lay inside the region that should hold it, against the share it should be.
-
-    Args:
-        coverage: by method, observed share by nominal share, e.g. `{"0.9": 0.87}`.
-    """
+def plot_coverage(coverage: Mapping[str, Mapping[str, float | None]]) -> Figure:
+    """Share of truths inside the region that should hold it, against that nominal share, e.g. `{"0.9": 0.87}`."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 4.6), layout="constrained")
         axes = figure.subplots()
@@ -171,30 +194,23 @@ def plot_coverage(coverage: Mapping[str, Mapping[str, float | None]]) -> Chart:
     return figure
 
 
-def plot_violations(violations: Mapping[str, Mapping[str, float | None]], truth: Mapping[str, float | None]) -> Chart:
-    """Share of steps outside position, speed and scene limits, per method and for what was measured.
-
-    Args:
-        violations: by method, shares in [0, 1] by kind of limit.
-        truth: the same for the measured motion.
-    """
+def plot_violations(violations: Mapping[str, Mapping[str, float | None]], truth: Mapping[str, float | None]) -> Figure:
+    """Share of steps outside position, speed and scene limits, per method and for what was measured."""
     rows = {"measured": truth, **violations}
     kinds = {"position": "out of range [%]", "speed": "too fast [%]", "scene": "in an obstacle [%]"}
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 1.2 + 0.32 * len(rows)), layout="constrained")
         panels = figure.subplots(1, 3, sharey=True)
         for axes, (kind, title) in zip(panels, kinds.items(), strict=True):
-            percent = 100 * _floats([shares.get(kind) for shares in rows.values()])
-            largest = np.max(percent, where=np.isfinite(percent), initial=0.0)
-            drawn = np.where(np.isfinite(percent), percent, 0.0)
-            for row, name in enumerate(rows):
+            drawn = np.nan_to_num(100 * _floats([shares.get(kind) for shares in rows.values()]), posinf=0.0)
+            for row, (name, shares) in enumerate(rows.items()):
                 face, edge = ("none", INK) if row == 0 else (method_style(name).colour, "none")
                 axes.barh(row, drawn[row], height=0.62, facecolor=face, edgecolor=edge)
                 axes.annotate(
-                    _percent(percent[row]), (drawn[row], row), (4, 0), textcoords="offset points",
+                    percent(shares.get(kind)), (drawn[row], row), (4, 0), textcoords="offset points",
                     va="center", fontsize=8.5,
                 )  # fmt: skip
-            axes.set_xlim(0, 1.3 * largest or 1.0)
+            axes.set_xlim(0, 1.3 * drawn.max(initial=0.0) or 1.0)
             axes.set_title(title)
             axes.spines["bottom"].set_visible(False)
             axes.set_xticks([])
@@ -202,7 +218,7 @@ def plot_violations(violations: Mapping[str, Mapping[str, float | None]], truth:
     return figure
 
 
-def save_figure(figure: Chart, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG on white, all or nothing."""
     with mpl.rc_context(STYLE):
         stream = io.BytesIO()
@@ -210,13 +226,8 @@ def save_figure(figure: Chart, path: Path) -> None:
     write_atomically(path, stream.getvalue())
 
 
-def figure_svg(figure: Chart, title: str) -> str:
-    """The figure as an `<svg>` element without background, in the font and text colour of the page around it.
-
-    Args:
-        figure: one of this module's.
-        title: read out in place of the picture; any text.
-    """
+def figure_svg(figure: Figure, title: str) -> str:
+    """The figure as an `<svg>` element in the page's font and text colour; the title, any text, is read out instead."""
     stream = io.StringIO()
     with mpl.rc_context({**STYLE, "svg.hashsalt": title}):
         nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -228,6 +239,23 @@ def figure_svg(figure: Chart, title: str) -> str:
     svg = re.sub(r'width="[^"]*" height="[^"]*"', "", svg, count=1)
     width = f"max-width: {6.4 * figure.get_figwidth():.1f}rem"  # text as large as the page's small print
     return svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(title)}" style="{width}" ', 1)
+
+
+def number(value: Any, digits: int) -> str:
+    """The value with so many digits after the point; a dash where it is unknown."""
+    return f"{value:.{digits}f}".replace("-", "−") if known(value) else UNKNOWN
+
+
+def percent(share: Any, digits: int = 1) -> str:
+    """A share in per cent; what would be rounded to zero without being it says so."""
+    if known(share) and 0 < share < 0.5 * 10.0 ** (-digits - 2):
+        return f"< {10.0**-digits:g}"
+    return "0" if share == 0 else number(100 * share if known(share) else None, digits)
+
+
+def known(value: object) -> TypeGuard[float]:
+    """Whether a value is a finite number."""
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def drawable(text: str) -> str:
@@ -243,18 +271,17 @@ def _letters() -> frozenset[int]:
 
 
 def _over_horizon(
-    values: Mapping[str, Sequence[float | None]],
+    values: Mapping[str, Float[np.ndarray, " T"]],
     horizon: float | None,
     title: str,
     should_be: float | None = None,
-) -> Chart:
+) -> Figure:
     """A line per method over the time ahead, and one where the values should be."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         axes = figure.subplots()
         ends = {}
-        for name, steps in values.items():
-            heights = _floats(steps)
+        for name, heights in values.items():
             if not np.isfinite(heights).any():
                 continue
             ahead = np.arange(1, len(heights) + 1) * (1.0 if horizon is None else horizon / len(heights))
@@ -278,13 +305,6 @@ def _over_horizon(
 def _floats(values: Sequence[float | None]) -> Float[np.ndarray, " K"]:
     """Numbers, NaN for what is unknown."""
     return np.array([np.nan if value is None else float(value) for value in values])
-
-
-def _percent(value: float) -> str:
-    """A share in per cent, short; a true zero reads 0."""
-    if not np.isfinite(value):
-        return "–"
-    return "0" if value == 0 else f"{value:.1f}" if value >= 0.1 else "< 0.1"
 
 
 def _method_rows(axes: Axes, names: Sequence[str]) -> None:
@@ -317,11 +337,7 @@ def _histogram_rows(axes: Axes, rows: Mapping[str, Float[np.ndarray, "..."]]) ->
 def _label_lines(axes: Axes, ends: Mapping[str, tuple[float, float]], at: float, height: float) -> None:
     """Name each line near its end, moved up or down just enough that names do not overlap.
 
-    Args:
-        axes: with its y limits set.
-        ends: the point of each line to be named.
-        at: where the names are, in widths of the axes; right of the points, or left of them if below 0.5.
-        height: of the axes in inches.
+    Names are at `at` widths of the axes, `height` inches high: right of the points, or left of them if below 0.5.
     """
     low, high = axes.get_ylim()
     gap = (high - low) * 13.0 / (72 * height)

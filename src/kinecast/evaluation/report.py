@@ -1,67 +1,122 @@
-"""The report of an evaluation: one HTML page that needs no other file, runs no script and loads nothing."""
+"""What an evaluation leaves: metrics.json, pictures, a table for the terminal, and one HTML page with all of it.
+
+Everything that comes from outside (names of methods and recordings, settings) is escaped by the page's template,
+data/report.html. A value that is missing, null or not finite is a dash.
+"""
 
 from __future__ import annotations
 
 import base64
+import io
+import json
+import math
 from collections.abc import Mapping, Sequence
-from html import escape
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from rich import box
+from rich.console import Console
+from rich.table import Table as TerminalTable
+from rich.text import Text
 
-from kinecast.errors import OptionError
-from kinecast.evaluation.output import write_atomically
+from kinecast.errors import MissingExtraError, OptionError
+from kinecast.evaluation.metrics import LEVELS
+from kinecast.evaluation.output import all_or_none, write_atomically
+from kinecast.evaluation.pictures import Moment, animate_prediction, draw_prediction
 from kinecast.evaluation.plots import (
-    Chart,
+    UNKNOWN,
     figure_svg,
+    known,
+    method_style,
+    number,
+    percent,
     plot_coverage,
     plot_coverage_by_horizon,
     plot_error_by_horizon,
     plot_nll_histograms,
     plot_violations,
 )
-from kinecast.evaluation.tables import (
-    coverage_table,
-    limits_table,
-    main_table,
-    mapping,
-    moving_table,
-    number,
-    recordings_scores_table,
-    recordings_table,
-    settings_table,
-)
+from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
+from kinecast.geometry.scene import Scene
+from kinecast.prediction.forecast import Method
+from kinecast.tasks.workers import Progress, Workers
 
-__all__ = ["write_report"]
+try:
+    from jinja2 import Environment, StrictUndefined
+except ImportError as error:
+    raise MissingExtraError("the report", "train") from error
 
 Metrics = Mapping[str, Any]
 
 PICTURES = {".png": "image/png", ".gif": "image/gif"}
 
 
-MEANINGS = {
-    "MPJPE": "mean distance between predicted and true joints, all joints and steps (Eq. 8), ± its standard "
-    "error by block bootstrap; moving: over windows in which a wrist moves faster than 0.3 m/s",
-    "NLL": "negative log density of what happened (Eq. 9), exact, per joint",
-    "KDE-NLL": "the same from a Gaussian kernel density estimate on the samples, clipped at 20",
-    "CRPS, energy": "scores of the whole distribution in millimetres, per coordinate and per joint: the "
-    "error of the mean and the width together",
-    "coverage": "share of true positions inside the ellipsoid that holds 90 % of the samples; best is 90",
-    "region": "volume of that ellipsoid once its radius is multiplied by the one factor with which it covers 90 %, "
-    "so that all methods are compared at equal coverage; geometric mean over joints, steps and windows",
-    "accepted": "share of samples that the scene leaves; effective: how many of those differ",
-    "latency": "of one prediction, median and 99th percentile",
-}
+def run_evaluation(
+    out: Path,
+    methods: Mapping[str, Method],
+    recordings: Sequence[TestRecording],
+    scene: Scene | None,
+    options: EvaluationOptions,
+    settings: Mapping[str, Any],
+    progress: Progress | None = None,
+    workers: Workers | None = None,
+) -> dict[str, Any]:
+    """Scores methods and writes everything: all files or, after an error, none.
+
+    Args:
+        out: folder for metrics.json, report.html, prediction.png and prediction.gif, which shows the last method.
+        settings: what to say about the run, JSON values.
+        methods, recordings, scene, options, progress, workers: as for `evaluate`.
+
+    Returns:
+        What metrics.json holds.
+    """
+    results, histograms = evaluate(methods, recordings, scene, options, progress, workers)
+    metrics: dict[str, Any] = {
+        "settings": {
+            **settings,
+            "samples": options.samples,
+            "repeats": options.repeats,
+            "repeat_windows": options.repeat_windows,
+            "seed": options.seed,
+        },
+        **results,
+    }
+    name, method = list(methods.items())[-1]
+    moment, title = _busiest(recordings, method, scene, options)
+    with all_or_none(out) as folder:
+        picture, film = folder / "prediction.png", folder / "prediction.gif"
+        write_atomically(folder / "metrics.json", json.dumps(metrics, indent=1).encode())
+        draw_prediction(picture, moment, scene, f"{name}, {title}")
+        animate_prediction(film, moment, scene, f"{name}, {title}")
+        write_report(metrics, histograms, folder, [picture, film])
+    return metrics
+
+
+def _busiest(
+    recordings: Sequence[TestRecording], method: Method, scene: Scene | None, options: EvaluationOptions
+) -> tuple[Moment, str]:
+    """A moment where the wrists move much (more than in 19 of 20 windows) and the whole future is known."""
+    recording = max(recordings, key=lambda each: len(each.observations))
+    wrists = np.array([observation.positions[:, [2, 5]] for observation in recording.observations])
+    path = np.linalg.norm(np.diff(wrists, axis=1), axis=-1).sum(axis=(1, 2))
+    path[~np.isfinite(recording.future).all(axis=(1, 2, 3))] = -1.0
+    row = int(np.argsort(path)[int(0.95 * (len(path) - 1))])
+    seen = recording.observations[row]
+    forecast = method.forecast(seen, np.random.default_rng(options.seed), options.samples, scene)
+    moment = Moment(seen.positions, forecast.samples, forecast.mean, seen.dt, recording.future[row], seen.stamp)
+    return moment, f"{recording.name} at {seen.stamp:.1f} s"
+
+
+# The page
 
 
 def write_report(
-    metrics: Metrics,
-    histograms: Mapping[str, Float[np.ndarray, "..."]],
-    folder: Path,
-    pictures: Sequence[Path] = (),
+    metrics: Metrics, histograms: Mapping[str, Float[np.ndarray, "..."]], folder: Path, pictures: Sequence[Path] = ()
 ) -> Path:
     """Write `report.html`, a page that shows everything and needs no other file.
 
@@ -78,126 +133,221 @@ def write_report(
         OptionError: a picture that is neither PNG nor GIF.
         OSError: a picture cannot be read or the page not written; then there is no page.
     """
-    methods = mapping(metrics, "methods")
-    settings = mapping(metrics, "settings")
-    names = list(dict.fromkeys(name for each in methods.values() for name in mapping(each, "recordings")))
+    methods, settings = _mapping(metrics, "methods"), _mapping(metrics, "settings")
+    names = list(dict.fromkeys(name for each in methods.values() for name in _mapping(each, "recordings")))
+    first: Metrics = next(iter(methods.values()), {})
+    counts = [_value(first, "recordings", name, "windows") for name in names]
     horizon = settings.get("horizon")
-    horizon = float(horizon) if isinstance(horizon, int | float) and horizon > 0 else None
-    windows = _windows(methods)
-    body = [
-        "<h1>Where arms will be: an evaluation</h1>",
-        f'<p class="lead">{_count(len(methods), "method")} on {_count(len(names), "recording")}'
-        + (f", {windows} windows" if windows else "")
-        + (f", predicted {number(horizon, 2)} s ahead" if horizon else "")
-        + ". Errors are means ± standard errors; the best of each column stands out.</p>",
-        _scroll(main_table(methods)),
-        _meanings(),
-        *_pictures(pictures),
-        "<h2>Error over the horizon</h2>",
-        _figure(
-            plot_error_by_horizon(
-                {name: each.get("mpjpe_mm_by_step") or [] for name, each in methods.items()},
-                horizon,
-            ),
-            "Mean joint error against time ahead, by method",
-        ),
-        "<h2>Negative log likelihood</h2>",
-        "<p>How probable each method found what then happened. Histograms are over repeated "
-        "evaluations with fresh random draws.</p>",
-        _figure(
-            plot_nll_histograms(histograms, {name: each.get("nll_stderr") for name, each in methods.items()}),
-            "Mean negative log likelihood and its histogram, by method",
-        ),
-        "<h2>Coverage</h2>",
-        "<p>A region said to hold 90 % of what can happen should hold it 90 % of the time.</p>",
-        '<div class="pair">',
-        _figure(
-            plot_coverage({name: mapping(each, "coverage") for name, each in methods.items()}),
-            "Observed against nominal coverage, by method",
-        ),
-        _figure(
-            plot_coverage_by_horizon(
-                {name: mapping(each, "coverage_by_step").get("0.9") or [] for name, each in methods.items()},
-                horizon,
-            ),
-            "Coverage at 90 % against time ahead, by method",
-        ),
-        "</div>",
-        _scroll(coverage_table(methods)),
-        "<h2>Limits</h2>",
-        "<p>Share of predicted steps outside joint ranges, speed limits and the scene, beside the measured "
-        "motion itself, whose violations are mostly noise and jumps of the tracker.</p>",
-        _figure(
-            plot_violations(
-                {name: mapping(each, "violations") for name, each in methods.items()},
-                mapping(metrics, "ground_truth_violations"),
-            ),
-            "Share of steps outside limits, by method and as measured",
-        ),
-        _scroll(limits_table(metrics, methods)),
-        "<h2>Moving windows</h2>",
-        _scroll(moving_table(methods)),
-        "<h2>Recordings</h2>",
-        "<p>MPJPE [mm] of every method on every recording.</p>",
-        _scroll(recordings_table(methods, names)),
-        "<p>CRPS [mm], NLL [nats] and coverage at 90 % [%].</p>",
-        _scroll(recordings_scores_table(methods, names)),
-        "<h2>Settings</h2>",
-        _scroll(settings_table(settings), "settings"),
-    ]
+    horizon = float(horizon) if known(horizon) and horizon > 0 else None
+    data = resources.files("kinecast") / "data"
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page = environment.from_string((data / "report.html").read_text("utf-8")).render(
+        style=(data / "report.css").read_text("utf-8"),
+        methods=methods,
+        recordings=names,
+        windows=sum(count for count in counts if isinstance(count, int)),
+        horizon=number(horizon, 2) if horizon else "",
+        pictures=[_inlined(path) for path in pictures],
+        charts=_charts(metrics, methods, histograms, horizon),
+        tables=_tables(metrics, methods, names) | {"settings": _settings_table(settings)},
+    )
     path = folder / "report.html"
-    write_atomically(path, _page("\n".join(body)).encode())
+    write_atomically(path, page.encode())
     return path
 
 
-def _page(body: str) -> str:
-    style = resources.files("kinecast").joinpath("data/report.css").read_text("utf-8")
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta http-equiv="Content-Security-Policy" '
-        "content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">\n"
-        f"<title>kinecast evaluation</title>\n<style>\n{style}</style>\n</head>\n"
-        f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
-    )
+def _inlined(path: Path) -> tuple[str, str]:
+    """A picture's caption and content."""
+    kind = PICTURES.get(path.suffix.lower())
+    if kind is None:
+        raise OptionError(f"picture {path.name}: found {path.suffix or 'no ending'}, expected .png or .gif")
+    return path.stem.replace("_", " "), f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
-def _pictures(paths: Sequence[Path]) -> list[str]:
-    if not paths:
+def _charts(
+    metrics: Metrics, methods: Metrics, histograms: Mapping[str, Float[np.ndarray, "..."]], horizon: float | None
+) -> dict[str, str]:
+    """Charts as SVG elements."""
+
+    def of(*path: str, empty: Any = None) -> dict[str, Any]:
+        return {name: _value(each, *path) or empty for name, each in methods.items()}
+
+    errors = plot_error_by_horizon(of("mpjpe_mm_by_step", empty=[]), horizon)
+    nll = plot_nll_histograms(histograms, {name: each.get("nll_stderr") for name, each in methods.items()})
+    coverage = plot_coverage(of("coverage", empty={}))
+    by_step = plot_coverage_by_horizon(of("coverage_by_step", "0.9", empty=[]), horizon)
+    violations = plot_violations(of("violations", empty={}), _mapping(metrics, "ground_truth_violations"))
+    return {
+        "errors": figure_svg(errors, "Mean joint error against time ahead, by method"),
+        "nll": figure_svg(nll, "Mean negative log likelihood and its histogram, by method"),
+        "coverage": figure_svg(coverage, "Observed against nominal coverage, by method"),
+        "coverage_by_step": figure_svg(by_step, "Coverage at 90 % against time ahead, by method"),
+        "violations": figure_svg(violations, "Share of steps outside limits, by method and as measured"),
+    }
+
+
+# Tables
+
+
+@dataclass(frozen=True)
+class Score:
+    """A column of the main table.
+
+    Attributes:
+        title, unit: of its head.
+        path: keys that lead to the value in a method's metrics.
+        digits: after the point.
+        times: factor, e.g. 100 for per cent.
+        stderr: key of its standard error.
+        ideal: the value nearest to this is best: −inf for less is better; None for no best.
+        terminal: whether the terminal shows it too.
+    """
+
+    title: str
+    unit: str
+    path: tuple[str, ...]
+    digits: int
+    times: float = 1.0
+    stderr: str = ""
+    ideal: float | None = -math.inf
+    terminal: bool = True
+
+    def of(self, method: Metrics) -> float | None:
+        """A method's value as it is shown."""
+        value = _value(method, *self.path)
+        return round(self.times * value, self.digits) if known(value) else None
+
+    def text(self, method: Metrics) -> tuple[str, str]:
+        """The value, and its standard error with a sign before it, if there is one."""
+        value, error = self.of(method), method.get(self.stderr)
+        return number(value, self.digits), f"± {number(error, self.digits)}" if known(error) and known(value) else ""
+
+
+SCORES = (
+    Score("MPJPE", "mm", ("mpjpe_mm",), 1, stderr="mpjpe_mm_stderr"),
+    Score("moving", "mm", ("moving_mpjpe_mm",), 1),
+    Score("final wrist", "mm", ("wrist_final_mm",), 1),
+    Score("NLL", "nats", ("nll",), 2, stderr="nll_stderr"),
+    Score("KDE-NLL", "nats", ("kde_nll",), 2),
+    Score("CRPS", "mm", ("crps_mm",), 1),
+    Score("energy", "mm", ("energy_score_mm",), 1),
+    Score("coverage", "at 90 %", ("coverage", "0.9"), 1, times=100.0, ideal=90.0),
+    Score("region", "litres", ("calibrated_region_litres", "0.9", "typical"), 2, terminal=False),
+    Score("accepted", "%", ("accepted_fraction",), 1, times=100.0, ideal=None),
+    Score("effective", "samples", ("effective_sample_size",), 0, ideal=None, terminal=False),
+    Score("latency", "ms, p50", ("latency_ms", "p50"), 1, ideal=None, terminal=False),
+    Score("latency", "ms, p99", ("latency_ms", "p99"), 1, ideal=None),
+)
+
+
+class Cell(NamedTuple):
+    """What a cell of the page's tables says; `small` beside it, `colour` of the dot before it."""
+
+    text: str
+    small: str = ""
+    best: bool = False
+    colour: str = ""
+
+
+Table = tuple[list[Cell], list[list[Cell]]]
+"""Heads and rows; the first cell of a row names it."""
+
+
+def format_table(metrics: Metrics) -> str:
+    """The main table as plain text for a terminal, 100 columns or so wide."""
+    table = TerminalTable(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method")
+    columns = [score for score in SCORES if score.terminal]
+    for score in columns:
+        table.add_column(Text(f"{score.title}\n{score.unit}"), justify="right", no_wrap=True)
+    for name, each in _mapping(metrics, "methods").items():
+        table.add_row(Text(name), *[Text(" ".join(score.text(each)).rstrip()) for score in columns])
+    stream = io.StringIO()
+    Console(file=stream, width=200, color_system=None, legacy_windows=False).print(table)
+    return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
+
+
+def _tables(metrics: Metrics, methods: Metrics, recordings: Sequence[str]) -> dict[str, Table]:
+    """The page's tables of scores."""
+    best = {score: _best(score, methods) for score in SCORES}
+    moving = (SCORES[0], SCORES[5], SCORES[3])
+    measured = _mapping(metrics, "ground_truth_violations")
+    main, coverage, on_the_move = [], [], []
+    limits = [[Cell("measured"), *(Cell(percent(measured.get(kind), 2)) for kind in LIMITS)]]
+    for name, each in methods.items():
+        first = Cell(name, colour=method_style(name).colour)
+        main.append([first, *(Cell(*score.text(each), name in best[score]) for score in SCORES)])
+        coverage.append([first, *(Cell(percent(_value(each, "coverage", str(level)))) for level in LEVELS)])
+        limits.append([first, *(Cell(percent(_value(each, "violations", kind), 2)) for kind in LIMITS)])
+        on_the_move.append([first, *(Cell(number(_value(each, "moving", *s.path), s.digits)) for s in moving)])
+    names = [Cell(name) for name in methods]
+    return {
+        "main": ([Cell("method"), *(Cell(score.title, score.unit) for score in SCORES)], main),
+        "coverage": ([Cell("inside [%]"), *(Cell(f"{100 * level:g} %") for level in LEVELS)], coverage),
+        "limits": ([*map(Cell, ("steps [%]", "outside joint range", "too fast", "in an obstacle"))], limits),
+        "moving": ([Cell("method"), *(Cell(score.title, score.unit) for score in moving)], on_the_move),
+        "recordings": (
+            [Cell("recording"), Cell("windows"), *names],
+            [_errors_row(methods, name) for name in recordings],
+        ),
+        "recordings_scores": (
+            [Cell("recording"), *names],
+            [[Cell(name), *(_scores_of(each, name) for each in methods.values())] for name in recordings],
+        ),
+    }
+
+
+def _errors_row(methods: Metrics, recording: str) -> list[Cell]:
+    """How many windows a recording has, and the error of each method."""
+    errors = [_value(each, "recordings", recording, "mpjpe_mm") for each in methods.values()]
+    least = min((value for value in errors if known(value)), default=None)
+    windows = _value(next(iter(methods.values())), "recordings", recording, "windows")
+    cells = [Cell(number(value, 1), best=known(value) and value == least) for value in errors]
+    return [Cell(recording), Cell(number(windows, 0)), *cells]
+
+
+def _scores_of(method: Metrics, recording: str) -> Cell:
+    """CRPS, NLL and coverage of a method on a recording."""
+    entry = _mapping(method, "recordings", recording)
+    covered = percent(_value(entry, "coverage", "0.9"))
+    return Cell(number(entry.get("crps_mm"), 1), f"· {number(entry.get('nll'), 2)} · {covered}")
+
+
+def _settings_table(settings: Metrics) -> Table:
+    return [Cell("setting"), Cell("value")], [
+        [Cell(str(key)), Cell(_setting(value))] for key, value in settings.items()
+    ]
+
+
+def _setting(value: object) -> str:
+    """A line for each item of a list or mapping."""
+    if isinstance(value, Mapping):
+        return "\n".join(f"{key}: {_setting(item)}" for key, item in value.items())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "\n".join(map(_setting, value))
+    return UNKNOWN if value is None else str(value)
+
+
+def _best(score: Score, methods: Metrics) -> list[str]:
+    """The methods that share the best value as it is shown; none if all do."""
+    if score.ideal is None:
         return []
-    parts = ["<h2>Predictions</h2>"]
-    for path in paths:
-        kind = PICTURES.get(path.suffix.lower())
-        if kind is None:
-            raise OptionError(f"picture {path.name}: found {path.suffix or 'no ending'}, expected .png or .gif")
-        caption = escape(path.stem.replace("_", " "))
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
-        parts.append(
-            f'<figure><img src="data:{kind};base64,{data}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
-        )
-    return parts
+    values = {name: value for name, each in methods.items() if (value := score.of(each)) is not None}
+    away = {name: value if score.ideal == -math.inf else abs(value - score.ideal) for name, value in values.items()}
+    if len(set(away.values())) < 2:
+        return []
+    return [name for name, value in away.items() if value == min(away.values())]
 
 
-def _figure(chart: Chart, title: str) -> str:
-    return f"<figure>{figure_svg(chart, title)}</figure>"
+def _value(metrics: Metrics, *path: str) -> Any:
+    """What a path of keys leads to; None where something on the way is missing."""
+    found: Any = metrics
+    for key in path:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
 
 
-def _meanings() -> str:
-    items = "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in MEANINGS.items())
-    return f"<dl>{items}</dl>"
-
-
-def _scroll(table: str, kind: str = "") -> str:
-    return f'<div class="scroll {kind}">{table}</div>'
-
-
-def _windows(methods: Metrics) -> int:
-    """Windows scored, of the first method: all see the same."""
-    for each in methods.values():
-        counts = [entry.get("windows") for entry in mapping(each, "recordings").values()]
-        return sum(count for count in counts if isinstance(count, int))
-    return 0
-
-
-def _count(things: int, noun: str) -> str:
-    return f"{things} {noun}" if things == 1 else f"{things} {noun}s"
+def _mapping(metrics: Metrics, *path: str) -> Metrics:
+    """The mapping a path of keys leads to, empty where it is missing or null."""
+    found = _value(metrics, *path)
+    return found if isinstance(found, Mapping) else {}

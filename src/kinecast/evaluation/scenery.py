@@ -15,11 +15,10 @@ from kinecast.geometry.scene import Scene
 
 try:
     from matplotlib.axes import Axes
+    from matplotlib.colors import to_rgb
     from matplotlib.patches import Polygon
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
-
-__all__ = ["OBSTACLE", "Camera", "draw_obstacles", "visible_faces"]
 
 OBSTACLE = "#ecd7ad"
 EDGE = "#a9874a"
@@ -51,9 +50,9 @@ class Camera:
     def page(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 2"]:
         """(…, 2) places on the page [m where the origin is]."""
         seen = (points - self.origin) @ self.axes.T
-        away = np.maximum(1.0 - seen[..., 2:] / self.distance, 0.1)  # never behind the viewer
-        place: np.ndarray = seen[..., :2] / away
-        return place
+        return np.asarray(
+            seen[..., :2] / np.maximum(1.0 - seen[..., 2:] / self.distance, 0.1)
+        )  # in front of the viewer
 
     def depth(self, points: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b"]:
         """(…) how much nearer to the viewer than the origin [m]."""
@@ -62,24 +61,15 @@ class Camera:
     def towards(self, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
         """Direction from a point to the viewer."""
         away = self.axes[2] + (self.origin - point) / self.distance
-        direction: np.ndarray = away / np.linalg.norm(away)
-        return direction
+        return np.asarray(away / np.linalg.norm(away))
 
 
 def draw_obstacles(
-    axes: Axes,
-    camera: Camera,
-    scene: Scene,
-    start: float,
-    end: float,
-    shown: Float[np.ndarray, "K 3"],
+    axes: Axes, camera: Camera, scene: Scene, start: float, end: float, shown: Float[np.ndarray, "K 3"]
 ) -> None:
     """Draw every obstacle where it is at the end, with a dashed outline where it was if it moved.
 
     Args:
-        axes: to draw on.
-        camera: the view.
-        scene: with the obstacles.
         start, end: times on the scene's clock [s].
         shown: (K, 3) what else is on the picture [m]: planes are cut to a patch around it.
     """
@@ -115,13 +105,7 @@ def _patch(row: Float[np.ndarray, " 17"], shown: Float[np.ndarray, "K 3"]) -> Fl
 def visible_faces(
     camera: Camera, centre: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"], half: Float[np.ndarray, " 3"]
 ) -> Iterator[tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "4 3"]]]:
-    """Outward normal and corners of each face of a box that the camera sees.
-
-    Args:
-        camera: the view.
-        centre, rotation: of the box in the world [m].
-        half: half its sides [m].
-    """
+    """Outward normal and corners of each face that the camera sees of a box, `half` half its sides [m]."""
     for axis in range(3):
         for sign in (-1.0, 1.0):
             normal = sign * rotation[:, axis]
@@ -153,10 +137,9 @@ def _solid(axes: Axes, camera: Camera, row: Float[np.ndarray, " 17"], ghost: boo
 
 def _polygon(corners: Float[np.ndarray, "K 2"], light: float, ghost: bool = False) -> Polygon:
     """A filled outline in the obstacles' colour, or a dashed one for a ghost."""
-    red, green, blue = (int(OBSTACLE[i : i + 2], 16) / 255 * light for i in (1, 3, 5))
     if ghost:
         return Polygon(corners, fill=False, ec=EDGE, lw=1.0, ls=(0, (2, 2)), zorder=1.2)
-    return Polygon(corners, fc=(red, green, blue), ec=EDGE, lw=0.8, joinstyle="round", zorder=1)
+    return Polygon(corners, fc=light * np.array(to_rgb(OBSTACLE)), ec=EDGE, lw=0.8, joinstyle="round", zorder=1)
 
 
 def _directions(count: int) -> Float[np.ndarray, "K 3"]:

@@ -1,27 +1,44 @@
-"""Scores of one method on windows of one recording: what an evaluation does many times over, each time for itself."""
+"""Every method sees the same windows of unseen recordings and is scored on what came next."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
-from kinecast.evaluation.metrics import LEVELS, crps, energy_score, joint_errors, kde_nll, regions
+from kinecast.datasets.windows import Windows
+from kinecast.evaluation.metrics import (
+    LEVELS,
+    block_bootstrap,
+    crps,
+    energy_score,
+    is_moving,
+    joint_errors,
+    kde_nll,
+    regions,
+)
 from kinecast.geometry.scene import Scene
+from kinecast.pipeline import followed, observations
 from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with
 from kinecast.prediction.observation import Observation
-from kinecast.tasks.workers import generator
-
-__all__ = ["EvaluationOptions", "Scores", "TestRecording", "averages", "broken_by_truth", "score_windows"]
+from kinecast.tasks.workers import Progress, Serial, Workers, generator, given
 
 NLL_JOINTS = 6
 """NLL is reported per joint: the log density of the whole pose, six joints in m^18, divided by six."""
+
+LIMITS = ("position", "speed", "scene")
+
+BOOTSTRAP_BLOCK = 5.0
+"""Windows within this time of one another [s] are drawn together for standard errors."""
+
+BLOCK = 100
+"""Windows scored in one task."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +62,12 @@ class TestRecording:
     frames: Int[np.ndarray, " W"]
     history: Sequence[tuple[int, Observation, Float[np.ndarray, "6 3"]]] = ()
 
+    @classmethod
+    def of(cls, parts: Sequence[Windows], histories: Sequence[Windows]) -> list[TestRecording]:
+        """Recordings from their test windows and, by name, those that end with each frame (`pipeline.every_frame`)."""
+        every = {history.name: history for history in histories}
+        return [cls(p.name, observations(p), p.future, p.frames, followed(every[p.name])) for p in parts]
+
 
 @dataclass(frozen=True)
 class EvaluationOptions:
@@ -63,6 +86,60 @@ class EvaluationOptions:
     repeat_windows: int = 60
     seed: int = 0
     limits: JointLimits = field(default_factory=JointLimits)
+
+
+def evaluate(
+    methods: Mapping[str, Method],
+    recordings: Sequence[TestRecording],
+    scene: Scene | None,
+    options: EvaluationOptions,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
+) -> tuple[dict[str, Any], dict[str, Float[np.ndarray, " K"]]]:
+    """Scores methods on recordings.
+
+    Args:
+        methods: by name.
+        recordings: windows of recordings that no method was trained on.
+        scene: obstacles; None for none.
+        options: see EvaluationOptions.
+        progress: called with (done, total) tasks.
+        workers: that do them; None for this process. But for latencies, results are the same to the last bit.
+
+    Returns:
+        The `ground_truth_violations` and `methods` entries of metrics.json, and each method's NLL per repeat.
+    """
+    workers = workers or Serial()
+    owner = np.concatenate([np.full(len(r.observations), k) for k, r in enumerate(recordings)])
+    repeated = _repeated(owner, options)
+    shared = [workers.submit(given, recording) for recording in recordings]
+    truth = [workers.submit(_broken_by_truth, each, scene, options.limits) for each in shared]
+    tasks = {
+        name: [
+            workers.submit(score_windows, method, shared[place], place, rows, repeated[place], scene, options)
+            for place, recording in enumerate(recordings)
+            for rows in _blocks(methods[name], len(recording.observations))
+        ]
+        for name, method in ((name, workers.submit(given, method)) for name, method in methods.items())
+    }
+    results = iter(workers.results([*truth, *(task for each in tasks.values() for task in each)], progress))
+    broken = [row for _ in truth for row in next(results)]
+    scores = {name: Scores.joined([next(results) for _ in each]) for name, each in tasks.items()}
+    return {
+        "ground_truth_violations": _shares(broken),
+        "methods": {name: _summary(each, recordings, owner, options) for name, each in scores.items()},
+    }, {name: _averages(np.array(each.again).T) if each.again else np.empty(0) for name, each in scores.items()}
+
+
+def warm_up(
+    methods: Mapping[str, Method], recordings: Sequence[TestRecording], scene: Scene | None, options: EvaluationOptions
+) -> None:
+    """Scores each method on the first window, which there must be, so that everything is compiled."""
+    for method in methods.values():
+        score_windows(method, recordings[0], 0, range(1), frozenset(), scene, options)
+
+
+# One method on windows of one recording: what an evaluation does many times over, each time for itself
 
 
 @dataclass
@@ -84,9 +161,32 @@ class Scores:
     again: list[Float[np.ndarray, " K"]] = field(default_factory=list)
 
     @staticmethod
-    def together(parts: Sequence[Scores]) -> Scores:
+    def joined(parts: Sequence[Scores]) -> Scores:
         """Those of several parts, one after another."""
         return Scores(*([each for part in parts for each in getattr(part, name.name)] for name in fields(Scores)))
+
+    def add(
+        self,
+        forecast: Forecast,
+        observation: Observation,
+        truth: Float[np.ndarray, "T 6 3"],
+        scene: Scene | None,
+        options: EvaluationOptions,
+    ) -> None:
+        """Scores one forecast."""
+        inside, volume, stretch = regions(forecast.samples, truth)
+        known = np.isfinite(truth).all(axis=-1)
+        self.error.append(joint_errors(forecast.mean, truth))
+        self.nll.append(-forecast.density.log_prob(truth) / NLL_JOINTS)
+        self.kde.append(kde_nll(forecast.samples, truth))
+        self.crps.append(crps(forecast.samples, truth))
+        self.energy.append(energy_score(forecast.samples, truth))
+        self.inside.append(np.where(known, inside, np.nan))
+        self.volume.append(volume)
+        self.stretch.append(stretch)
+        self.broken.append(_violations(forecast.samples, observation, scene, options.limits))
+        self.accepted.append(float(forecast.accepted[-1]))
+        self.distinct.append(forecast.distinct)
 
 
 def score_windows(
@@ -101,43 +201,28 @@ def score_windows(
     """Scores a method on some windows of a recording; draws depend on the window alone.
 
     Args:
-        method: which.
-        recording: of the windows.
         place: of the recording among all.
-        rows: of the windows in it; all of them where the method follows the person.
+        rows: of the windows in it, from the first one on where the method follows the person.
         repeated: rows of those whose NLL is taken again.
-        scene: obstacles; None for none.
-        options: see EvaluationOptions.
     """
     scores = Scores()
     # Compiling is not predicting: the first call is not timed.
     method.forecast(recording.observations[rows[0]], np.random.default_rng(0), options.samples, scene)
-    for row, (seconds, memory) in zip(rows, _in_turn(method, recording, rows), strict=True):
+    for row, (seconds, memory) in zip(rows, _in_turn(method, recording, rows), strict=False):
         observation, truth = recording.observations[row], recording.future[row]
         rng = generator(options.seed, place, row)
         started = time.perf_counter()
         forecast = forecast_with(method, memory, observation, rng, options.samples, scene)
         scores.seconds.append(seconds + time.perf_counter() - started)
-        _score(scores, forecast, observation, truth, scene, options)
+        scores.add(forecast, observation, truth, scene, options)
         if row in repeated:
             nll = np.empty(options.repeats)
             for k in range(options.repeats):
                 fresh = generator(options.seed, place, row, k)
                 forecast = forecast_with(method, memory, observation, fresh, options.samples, scene)
-                nll[k] = averages(-forecast.density.log_prob(truth)[None])[0] / NLL_JOINTS
+                nll[k] = _averages(-forecast.density.log_prob(truth)[None])[0] / NLL_JOINTS
             scores.again.append(nll)
     return scores
-
-
-def broken_by_truth(recording: TestRecording, scene: Scene | None, limits: JointLimits) -> Int[np.ndarray, "W 4"]:
-    """Steps in which what was measured breaks position limits, speed limits and the scene; and all known steps."""
-    return np.array(
-        [
-            _violations(truth[None], observation, scene, limits)
-            for truth, observation in zip(recording.future, recording.observations, strict=True)
-        ],
-        dtype=int,
-    ).reshape(-1, 4)
 
 
 def _in_turn(method: Method, recording: TestRecording, rows: range) -> Iterator[tuple[float, Any]]:
@@ -158,34 +243,28 @@ def _in_turn(method: Method, recording: TestRecording, rows: range) -> Iterator[
             yield time.perf_counter() - started, memory
 
 
-def _score(
-    scores: Scores,
-    forecast: Forecast,
-    observation: Observation,
-    truth: Float[np.ndarray, "T 6 3"],
-    scene: Scene | None,
-    options: EvaluationOptions,
-) -> None:
-    scores.error.append(joint_errors(forecast.mean, truth))
-    scores.nll.append(-forecast.density.log_prob(truth) / NLL_JOINTS)
-    scores.kde.append(kde_nll(forecast.samples, truth))
-    scores.crps.append(crps(forecast.samples, truth))
-    scores.energy.append(energy_score(forecast.samples, truth))
-    inside, volume, stretch = regions(forecast.samples, truth, LEVELS)
-    known = np.isfinite(truth).all(axis=-1)
-    scores.inside.append(np.where(known, inside, np.nan))
-    scores.volume.append(volume)
-    scores.stretch.append(np.where(known, stretch, np.nan))
-    scores.broken.append(_violations(forecast.samples, observation, scene, options.limits))
-    scores.accepted.append(float(forecast.accepted[-1]))
-    scores.distinct.append(forecast.distinct)
+def _blocks(method: Method, windows: int) -> list[range]:
+    """Windows of a recording that are scored together: all where the method follows the person."""
+    size = windows if isinstance(method, Follower) else BLOCK
+    return [range(start, min(start + size, windows)) for start in range(0, windows, max(size, 1))]
+
+
+def _repeated(owner: Int[np.ndarray, " W"], options: EvaluationOptions) -> list[frozenset[int]]:
+    """Per recording, rows of the windows whose NLL is taken again."""
+    count = min(options.repeat_windows, len(owner)) if options.repeats else 0
+    again = np.linspace(0, len(owner) - 1, count).astype(int)
+    first = np.searchsorted(owner, np.arange(owner.max(initial=-1) + 1))
+    return [frozenset((again[owner[again] == k] - start).tolist()) for k, start in enumerate(first.tolist())]
+
+
+def _broken_by_truth(recording: TestRecording, scene: Scene | None, limits: JointLimits) -> list[Int[np.ndarray, "4"]]:
+    """`_violations` of what was measured after each window."""
+    pairs = zip(recording.future, recording.observations, strict=True)
+    return [_violations(truth[None], observation, scene, limits) for truth, observation in pairs]
 
 
 def _violations(
-    positions: Float[np.ndarray, "S T 6 3"],
-    observation: Observation,
-    scene: Scene | None,
-    limits: JointLimits,
+    positions: Float[np.ndarray, "S T 6 3"], observation: Observation, scene: Scene | None, limits: JointLimits
 ) -> Int[np.ndarray, "4"]:
     """Steps that break position limits, speed limits and the scene, from positions alone; and all known steps."""
     initial = postures_from_points(observation.points, continuous=True)[-1]
@@ -198,9 +277,102 @@ def _violations(
     return np.array([np.count_nonzero(broken & known) for broken in (position, speed, hit, known)])
 
 
-def averages(values: Float[np.ndarray, "W ..."]) -> Float[np.ndarray, " W"]:
+# Averages
+
+
+def _summary(
+    scores: Scores, recordings: Sequence[TestRecording], owner: Int[np.ndarray, " W"], options: EvaluationOptions
+) -> dict[str, Any]:
+    """One method's entry of metrics.json."""
+    error, nll, volume = np.array(scores.error), np.array(scores.nll), np.array(scores.volume)
+    crps_, inside, stretch = np.array(scores.crps), np.array(scores.inside), np.array(scores.stretch)
+    seconds, distinct = 1e3 * np.array(scores.seconds), np.array(scores.distinct)
+    moving = np.array([is_moving(o.positions, o.dt) for recording in recordings for o in recording.observations])
+    apart = np.concatenate([np.diff([o.stamp for o in recording.observations]) for recording in recordings])
+    block = max(round(BOOTSTRAP_BLOCK / (np.median(apart) or 1.0)), 1) if len(apart) else 1
+    levels = {str(level): k for k, level in enumerate(LEVELS)}
+
+    def three(select: Bool[np.ndarray, " W"]) -> dict[str, float | None]:
+        return {
+            "mpjpe_mm": _mean(1e3 * error[select]),
+            "crps_mm": _mean(1e3 * crps_[select]),
+            "nll": _mean(nll[select]),
+        }
+
+    def coverage(select: Bool[np.ndarray, " W"]) -> dict[str, float | None]:
+        return {level: _mean(inside[select, k]) for level, k in levels.items()}
+
+    def stderr(values: Float[np.ndarray, "W ..."]) -> float | None:
+        return _number(block_bootstrap(_averages(values), owner, block, options.seed))
+
+    everything = np.ones(len(owner), dtype=bool)
+    return {
+        **three(everything),
+        "mpjpe_mm_by_step": [_mean(1e3 * error[:, t]) for t in range(error.shape[1])],
+        "mpjpe_mm_stderr": stderr(1e3 * error),
+        "moving_mpjpe_mm": _mean(1e3 * error[moving]),
+        "wrist_final_mm": _mean(1e3 * error[:, -1, [2, 5]]),
+        "nll_stderr": stderr(nll),
+        "kde_nll": _mean(np.array(scores.kde)),
+        "energy_score_mm": _mean(1e3 * np.array(scores.energy)),
+        "coverage": coverage(everything),
+        "coverage_by_step": {
+            level: [_mean(inside[:, k, t]) for t in range(inside.shape[2])] for level, k in levels.items()
+        },
+        "region_litres": {level: _mean(1e3 * volume[:, k]) for level, k in levels.items()},
+        "calibrated_region_litres": {
+            level: _calibrated(1e3 * volume[:, k], stretch[:, k], float(level)) for level, k in levels.items()
+        },
+        "violations": _shares(scores.broken),
+        "accepted_fraction": float(np.mean(scores.accepted)),
+        "effective_sample_size": float(np.mean(distinct)),
+        "blocked_windows": int(np.count_nonzero(distinct == 0)),
+        "latency_ms": {"p50": float(np.percentile(seconds, 50)), "p99": float(np.percentile(seconds, 99))},
+        "moving": {"windows": int(moving.sum()), **three(moving)},
+        "recordings": {
+            recording.name: {"windows": int((owner == k).sum()), **three(owner == k), "coverage": coverage(owner == k)}
+            for k, recording in enumerate(recordings)
+        },
+    }
+
+
+def _shares(counts: Sequence[Int[np.ndarray, "4"]]) -> dict[str, float]:
+    """Shares of the known steps of all windows that break each kind of limit."""
+    total = np.sum(counts, axis=0) if len(counts) else np.zeros(4)
+    return {name: float(broken / max(total[3], 1)) for name, broken in zip(LIMITS, total[:3], strict=True)}
+
+
+def _calibrated(
+    volume: Float[np.ndarray, "W T 6"], stretch: Float[np.ndarray, "W T 6"], level: float
+) -> dict[str, float | None]:
+    """Volumes of regions whose radii are multiplied by the one factor with which they cover what they should.
+
+    Methods are then compared at equal coverage. Wide regions govern the mean, all count alike in the typical one (the
+    geometric mean).
+    """
+    known = stretch[~np.isnan(stretch)]
+    factor = np.quantile(known, level, method="higher") if known.size else np.inf
+    if not np.isfinite(factor):
+        return {"mean": None, "typical": None}
+    scaled = volume * factor**3
+    middle = _mean(np.log(np.where(scaled > 0, scaled, np.nan)))
+    return {"mean": _mean(scaled), "typical": None if middle is None else float(np.exp(middle))}
+
+
+def _averages(values: Float[np.ndarray, "W ..."]) -> Float[np.ndarray, " W"]:
     """Mean of what was scored of each window; NaN where nothing was."""
     flat = values.reshape(len(values), -1)
     known = ~np.isnan(flat)
     count = known.sum(axis=1)
     return np.where(count > 0, np.where(known, flat, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
+
+
+def _number(value: float) -> float | None:
+    """The value; None where it is not a number, which JSON cannot say."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _mean(values: Float[np.ndarray, "..."]) -> float | None:
+    """Mean of what was scored; None where nothing was."""
+    finite = values[~np.isnan(values)]
+    return float(finite.mean()) if finite.size else None

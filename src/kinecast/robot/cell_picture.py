@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from kinecast.errors import MissingExtraError
-from kinecast.evaluation.palette import INK
+from kinecast.evaluation.plots import INK
 from kinecast.evaluation.scenery import Camera, draw_obstacles, visible_faces
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box

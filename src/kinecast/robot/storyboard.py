@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from kinecast.errors import MissingExtraError, OptionError
-from kinecast.evaluation.animations import write_gif
 from kinecast.evaluation.output import write_atomically
-from kinecast.evaluation.palette import INK, MUTED
-from kinecast.evaluation.plots import STYLE
+from kinecast.evaluation.pictures import write_gif
+from kinecast.evaluation.plots import INK, MUTED, STYLE
 from kinecast.robot.cell import Cell
 from kinecast.robot.cell_picture import COLOURS, REGION, REGION_EDGE, draw_cell
 from kinecast.robot.episode import Episode, Scenery

@@ -10,8 +10,7 @@ import numpy as np
 
 from kinecast.errors import MissingExtraError, OptionError
 from kinecast.evaluation.output import write_atomically
-from kinecast.evaluation.palette import INK, MUTED, RED
-from kinecast.evaluation.plots import STYLE
+from kinecast.evaluation.plots import INK, MUTED, RED, STYLE
 from kinecast.robot.cell_picture import COLOURS
 from kinecast.robot.episode import Episode
 from kinecast.types import RobotState

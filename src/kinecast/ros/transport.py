@@ -10,12 +10,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from kinecast.live.sender_guard import SenderGuard
-from kinecast.live.attempts import Attempts
+from kinecast.live.counters import SinkCounters
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError
 from kinecast.live.publication import Publication
-from kinecast.live.tally import Tally
+from kinecast.live.sender_guard import SenderGuard
 from kinecast.ros.messages import Messages
 from kinecast.ros.publisher import Posting, PredictionPublisher
 from kinecast.ros.subscriber import SkeletonSubscriber
@@ -114,8 +113,7 @@ class RosSink:
 
     def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:
         self.address = address
-        self.tally = Tally()
-        self._attempts = Attempts(address, "sent", OSError)
+        self.counters = SinkCounters(address, "sent", OSError)
         self._publisher = publisher
         self._transport = transport
         self._room = room
@@ -126,17 +124,12 @@ class RosSink:
         self._thread = threading.Thread(target=self._run, name=address, daemon=True)
         self._thread.start()
 
-    @property
-    def failure(self) -> str | None:
-        """See kinecast.live.sinks.Sink."""
-        return self._attempts.failure
-
     def publish(self, publication: Publication) -> None:
         """See kinecast.live.sinks.Sink."""
         if self._waiting.qsize() >= self._room:
             with suppress(queue.Empty):
                 self._waiting.get_nowait()
-                self.tally.dropped += 1
+                self.counters.drop()
         self._waiting.put(publication)
 
     def close(self) -> None:
@@ -152,15 +145,15 @@ class RosSink:
                 publication = self._waiting.get(timeout=min(patience, LOOK))
                 if publication is None:
                     ended = True
-                elif self._attempts.succeeds(self._tell, publication):
-                    self.tally.sent(time.monotonic() - publication.acquired)
+                elif self.counters.attempt(self._tell, publication):
+                    self.counters.sent(time.monotonic() - publication.acquired)
                 else:
-                    self.tally.dropped += 1
-            self._attempts.succeeds(self._send, self._publisher.take_back(math.inf if ended else time.monotonic()))
+                    self.counters.drop()
+            self.counters.attempt(self._send, self._publisher.take_back(math.inf if ended else time.monotonic()))
         try:
             self._transport.close()
         except Exception as error:
-            self._attempts.fail(error)
+            self.counters.fail(error)
 
     def _tell(self, publication: Publication) -> None:
         self._send(self._publisher.tell(publication, time.monotonic(), self._transport.now()))

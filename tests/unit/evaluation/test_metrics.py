@@ -12,7 +12,6 @@ from kinecast.errors import OptionError
 from kinecast.evaluation import metrics
 from kinecast.evaluation.metrics import (
     crps,
-    effective_sample_size,
     energy_score,
     is_moving,
     joint_errors,
@@ -156,17 +155,15 @@ def test_missing_truth_is_not_scored(score) -> None:  # type: ignore[no-untyped-
 
 
 @pytest.mark.parametrize("score", SAMPLE_SCORES)
-def test_absent_samples_do_not_count(score) -> None:  # type: ignore[no-untyped-def]
-    samples, truth = correlated(np.random.default_rng(10), 9)  # few enough for all pairs
-    holed = np.concatenate([samples, np.full((3, *truth.shape), np.nan)])
-    np.testing.assert_allclose(score(holed, truth), score(samples, truth), rtol=1e-9)
-    samples[:, 2, 4] = np.nan
+def test_a_sample_that_is_not_finite_spoils_its_own_joint_alone(score) -> None:  # type: ignore[no-untyped-def]
+    samples, truth = correlated(np.random.default_rng(10), 9)
+    samples[3, 2, 4] = np.nan
     scores = score(samples, truth)
     assert np.isnan(scores[2, 4]).all()
     assert np.isfinite(np.delete(scores.reshape(24, -1), 2 * 6 + 4, axis=0)).all()
 
 
-def test_no_sample_accepted_is_no_score() -> None:
+def test_no_sample_is_no_score() -> None:
     samples, truth = np.zeros((0, 2, 6, 3)), np.zeros((2, 6, 3))
     for score in SAMPLE_SCORES:
         assert np.isnan(score(samples, truth)).all()
@@ -178,15 +175,12 @@ def test_no_sample_accepted_is_no_score() -> None:
 def test_regions_without_truth_or_samples() -> None:
     samples, truth = correlated(np.random.default_rng(11), 40)
     truth[0, 0, 0] = np.nan
-    samples[:, 1, 1] = np.nan
-    samples[:20, 2, 2, 0] = np.nan
+    samples[7, 1, 1] = np.nan
     inside, volume, _ = regions(samples, truth, levels=(0.9,))
     assert not inside[0, 0, 0]
     assert not inside[0, 1, 1]
     assert np.isfinite(volume[0, 0, 0])
     assert np.isnan(volume[0, 1, 1])
-    _, half, _ = regions(samples[20:], truth, levels=(0.9,))
-    np.testing.assert_allclose(volume[0, 2, 2], half[0, 2, 2])
 
 
 def test_coverage_of_a_gaussian_is_the_level_within_its_standard_error() -> None:
@@ -237,14 +231,6 @@ def test_scores_leave_their_inputs_alone() -> None:
     np.testing.assert_array_equal(truth, before[1])
 
 
-def test_effective_sample_size() -> None:
-    assert effective_sample_size(np.ones(50)) == pytest.approx(50)
-    assert effective_sample_size(np.array([1.0, 0.0, 0.0])) == pytest.approx(1)
-    assert effective_sample_size(np.array([1e-300, 1e-300])) == pytest.approx(2)
-    assert effective_sample_size(np.zeros(4)) == 0
-    np.testing.assert_allclose(effective_sample_size(np.array([[3.0, 1.0], [0.0, 2.0]])), [1.6, 1.0])
-
-
 def test_moving_is_a_matter_of_the_wrists_usual_speed() -> None:
     rest = np.zeros((6, 6, 3))
     assert not is_moving(rest, dt=0.1)
@@ -253,7 +239,6 @@ def test_moving_is_a_matter_of_the_wrists_usual_speed() -> None:
         walk[:, wrist, 1] = 0.031 * np.arange(6)
         assert is_moving(walk, dt=0.1)
         assert not is_moving(walk[:, :], dt=0.2)
-        assert is_moving(rest, dt=0.1, truth=np.concatenate([walk] * 2))
     elbow = rest.copy()
     elbow[:, 1] = np.arange(6)[:, None]
     assert not is_moving(elbow, dt=0.1)

@@ -11,11 +11,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from PIL import Image
 
-from kinecast.errors import OptionError
-from kinecast.evaluation import animations
-from kinecast.evaluation.animations import animate_motion, animate_prediction
-from kinecast.evaluation.palette import RED
-from kinecast.evaluation.pictures import Moment, draw_prediction, perspective
+from kinecast.evaluation import pictures
+from kinecast.evaluation.pictures import Moment, animate_prediction, draw_prediction, perspective
 from kinecast.evaluation.scenery import OBSTACLE, Camera, draw_obstacles
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Sphere
@@ -43,18 +40,15 @@ def share_of(path: Path, colour: str) -> float:
     return float(np.mean(np.abs(pixels - wanted).max(axis=-1) < 12))
 
 
-def test_the_picture_shows_the_person_the_table_and_what_breaks_limits(tmp_path: Path) -> None:
+def test_the_picture_shows_the_person_and_the_table(tmp_path: Path) -> None:
     plain, full = tmp_path / "plain.png", tmp_path / "full.png"
     draw_prediction(plain, moment())
-    outside = np.zeros((20, 3), bool)
-    outside[::2, 1] = True
-    draw_prediction(full, dataclasses.replace(moment(), outside=outside), Scene((TABLE,)), "a title")
+    draw_prediction(full, moment(), Scene((TABLE,)), "a title")
     draw_prediction(tmp_path / "again.png", moment())
     assert plain.read_bytes() == (tmp_path / "again.png").read_bytes()
     with Image.open(full) as picture:
         assert picture.size == (1664, 944)
     assert share_of(plain, OBSTACLE) < 1e-3 < 0.02 < share_of(full, OBSTACLE)
-    assert share_of(plain, RED) < 1e-5 < 1e-4 < share_of(full, RED)
 
 
 def odd_moments() -> dict[str, Moment]:
@@ -62,16 +56,12 @@ def odd_moments() -> dict[str, Moment]:
     assert usual.truth is not None
     holed = usual.truth.copy()
     holed[1], holed[-1, 2, 0] = np.nan, np.nan
-    joints = np.zeros((20, 3, 6), bool)
-    joints[3, 1:, 5] = True
     unseen = usual.observed.copy()
     unseen[0, :3] = np.nan
     few = {"samples": usual.samples[:1], "observed": usual.observed[-1:]}
     return {
-        "no truth or samples": dataclasses.replace(
-            usual, truth=None, samples=usual.samples[:0], outside=np.zeros((0, 3), bool)
-        ),
-        "truth with holes, limits by joint": dataclasses.replace(usual, truth=holed, outside=joints),
+        "no truth or samples": dataclasses.replace(usual, truth=None, samples=usual.samples[:0]),
+        "truth with holes": dataclasses.replace(usual, truth=holed),
         "one sample, one frame": dataclasses.replace(usual, **few),
         "one step": dataclasses.replace(usual, samples=usual.samples[:, :1], mean=usual.mean[:1], truth=None),
         "an arm unseen": dataclasses.replace(usual, observed=unseen),
@@ -97,35 +87,23 @@ def test_a_film_of_one_prediction(tmp_path: Path) -> None:
     assert times == [100, 600, 100, 100, 1200]  # three times slower than 1/30 s, with rests
 
 
-@pytest.mark.parametrize("name", ["no truth or samples", "truth with holes, limits by joint", "one step"])
+@pytest.mark.parametrize("name", ["no truth or samples", "truth with holes", "one step"])
 def test_odd_moments_are_filmed(name: str, tmp_path: Path) -> None:
     animate_prediction(tmp_path / "a.gif", odd_moments()[name])
     assert (tmp_path / "a.gif").stat().st_size > 1000
 
 
-def test_a_film_of_a_motion_at_its_own_speed(tmp_path: Path) -> None:
-    moments = [dataclasses.replace(moment(), stamp=10 + 0.1 * k) for k in range(3)]
-    animate_motion(tmp_path / "a.gif", moments)
-    with Image.open(tmp_path / "a.gif") as film:
-        film.load()
-        assert film.info["duration"] in (100, 300)  # equal frames may be joined
-        assert np.asarray(film.convert("RGB"))[0, 0].tolist() == [255, 255, 255]
-    with pytest.raises(OptionError, match="at least one"):
-        animate_motion(tmp_path / "b.gif", [])
-    assert not (tmp_path / "b.gif").exists()
-
-
 def test_a_film_too_large_is_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    animate_motion(tmp_path / "large.gif", [moment()])
-    monkeypatch.setattr(animations, "LARGEST", (tmp_path / "large.gif").stat().st_size - 1)
-    animate_motion(tmp_path / "small.gif", [moment()])
+    animate_prediction(tmp_path / "large.gif", moment(steps=1))
+    monkeypatch.setattr(pictures, "LARGEST", (tmp_path / "large.gif").stat().st_size - 1)
+    animate_prediction(tmp_path / "small.gif", moment(steps=1))
     with Image.open(tmp_path / "small.gif") as small, Image.open(tmp_path / "large.gif") as large:
         assert small.width < large.width
 
 
 def test_the_persons_left_is_on_the_readers_right() -> None:
     now = moment().now
-    camera = perspective([moment()])
+    camera = perspective(moment())
     page = camera.page(now)
     assert page[0, 0] > page[3, 0]
     assert page[0, 1] > page[1, 1]  # shoulders above elbows

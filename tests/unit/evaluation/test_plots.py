@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from kinecast.errors import MissingExtraError
-from kinecast.evaluation.palette import INK, method_style
 from kinecast.evaluation.plots import (
+    INK,
     drawable,
     figure_svg,
+    method_style,
     plot_coverage,
     plot_coverage_by_horizon,
     plot_error_by_horizon,
@@ -119,7 +120,7 @@ def test_drawable_keeps_what_the_font_has() -> None:
 def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, module, None)
-    for module in ("plots", "scenery", "pictures", "animations", "report"):
+    for module in ("plots", "scenery", "pictures", "report"):
         monkeypatch.delitem(sys.modules, f"kinecast.evaluation.{module}", raising=False)
         with pytest.raises(MissingExtraError, match=r"kinecast\[train\]"):
             importlib.import_module(f"kinecast.evaluation.{module}")

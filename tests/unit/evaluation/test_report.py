@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.evaluation.report import write_report
-from kinecast.evaluation.tables import format_table
+from kinecast.evaluation.report import format_table, write_report
 
 HOSTILE = "<script>alert('1')</script>\"><img src=x onerror=alert(2)>&amp;.npy"
 METHODS = ("zero_velocity", "ridge", "kinecast", "own<b>model</b>")

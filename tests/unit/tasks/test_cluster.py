@@ -23,7 +23,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ClusterError, DatasetError, OptionError
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
 from kinecast.prediction.kinecast.expert_training import fit_network
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from kinecast.errors import OptionError
-
-__all__ = ["check_file", "check_folder", "without_empty_folders"]
 
 
 def check_file(out: Path, endings: tuple[str, ...], option: str = "--out") -> None:
@@ -39,30 +35,13 @@ def check_folder(out: Path) -> None:
     Raises:
         OptionError: it is a file, or lies where nothing can be written.
     """
-    place = out.absolute()
-    while not place.exists() and place != place.parent:
-        place = place.parent
+    place = next(place for place in (out.absolute(), *out.absolute().parents) if place.exists())
     if not place.is_dir():
         raise OptionError(f"--out {out}: {place} is a file, not a folder")
-    _check_writable(out, place)
+    _check_writable(out, place, "--out")
 
 
-@contextmanager
-def without_empty_folders(out: Path) -> Iterator[None]:
-    """After an error, removes `out`, what is in it and what it is in, as far as they are empty and new."""
-    old = {out, *out.parents, *out.rglob("*")}
-    old = {folder for folder in old if folder.exists()}
-    try:
-        yield
-    except BaseException:
-        new = {out, *out.parents, *out.rglob("*")} - old
-        for folder in sorted(new, key=lambda folder: len(folder.parts), reverse=True):
-            with suppress(OSError):
-                folder.rmdir()
-        raise
-
-
-def _check_writable(out: Path, folder: Path, option: str = "--out") -> None:
+def _check_writable(out: Path, folder: Path, option: str) -> None:
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinecast.body.limits import JointLimits
@@ -14,7 +14,6 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
-from kinecast.prediction.checkpoint import ModelCard
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.kinecast.ablation import ablations
 from kinecast.prediction.kinecast.method import Horizon
@@ -22,11 +21,9 @@ from kinecast.prediction.methods import TrainingOptions, check_names, limits_of,
 from kinecast.prediction.outside import is_outside, trained_outside_on
 from kinecast.tasks.workers import Workers
 
-__all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known", "with_ablations"]
-
 
 @dataclass(frozen=True)
-class Contestants:
+class MethodSet:
     """Methods for the same windows.
 
     Attributes:
@@ -41,13 +38,24 @@ class Contestants:
     trained_on: Sequence[str]
     windows: WindowOptions
 
+    def with_ablations(self) -> MethodSet:
+        """With, before `kinecast`, what is left of it with each stage switched off; OptionError if it is not there."""
+        whole = self.methods.get("kinecast")
+        if not isinstance(whole, Horizon):
+            raise OptionError(f"--ablate takes kinecast apart; the methods are {', '.join(self.methods)}")
+        parts = {f"kinecast, {name}": part for name, part in ablations(whole).items()}
+        others = {name: method for name, method in self.methods.items() if method is not whole}
+        return replace(self, methods={**others, **parts, "kinecast": whole})
+
+    def warn_of_known(self, test: Sequence[Recording]) -> None:
+        """A note where models were trained on recordings of the test recordings' names."""
+        known = [recording.name for recording in test if recording.name in self.trained_on]
+        if known:
+            note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
+
 
 def method_names(text: str) -> list[str]:
-    """Names with commas between them, each once; MODULE:FUNCTION is one too.
-
-    Raises:
-        OptionError: one of them is no method.
-    """
+    """Names with commas between them, each once; OptionError if one is no method. MODULE:FUNCTION is one too."""
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     own = [name for name in names if not is_outside(name)]
     if own or not names:
@@ -62,7 +70,7 @@ def train_methods(
     scene: Scene | None,
     seed: int,
     workers: Workers,
-) -> Contestants:
+) -> MethodSet:
     """Methods trained on every window of recordings, as `kinecast train` does; those from elsewhere in this process.
 
     Raises:
@@ -75,18 +83,13 @@ def train_methods(
     with progress_bar("training") as progress:
         methods |= train([name for name in names if name not in methods], data, settings, progress, workers)
     methods = {name: methods[name] for name in names}
-    return Contestants(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
+    return MethodSet(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
 
 
 def read_models(
     paths: Sequence[Path], rate: float | None = None, window: float | None = None, horizon: float | None = None
-) -> Contestants:
-    """Saved models, all for the same windows.
-
-    Args:
-        paths: model files, at least one.
-        rate: that they must have [Hz]; None for that of the first.
-        window, horizon: that they must have [s]; None for those of the first.
+) -> MethodSet:
+    """Saved models, at least one, all of this rate [Hz], window and horizon [s]; None for those of the first.
 
     Raises:
         ModelError: a file is no model, or made for other windows.
@@ -106,42 +109,12 @@ def read_models(
         made = (card.frames, card.steps, card.rate)
         if made != wanted:
             raise ModelError(f"{path}: made for {frames.format(*made)}, not {frames.format(*wanted)}")
-    names = _unique([card.method for card in cards])
-    methods = {name: method for name, (_, _, method) in zip(names, models, strict=True)}
+    named = [card.method for card in cards]
+    methods = {
+        f"{name} #{named[: k + 1].count(name)}" if named.count(name) > 1 else name: models[k][2]
+        for k, name in enumerate(named)
+    }
     trained_on = sorted({name for card in cards for name in card.trained_on})
-    return Contestants(methods, _limits(cards), trained_on, options)
-
-
-def with_ablations(methods: Mapping[str, Method]) -> dict[str, Method]:
-    """The methods, and before `kinecast` what is left of it with each stage switched off in turn.
-
-    Raises:
-        OptionError: `kinecast` is not among them.
-    """
-    whole = methods.get("kinecast")
-    if not isinstance(whole, Horizon):
-        raise OptionError(f"--ablate takes kinecast apart; the methods are {', '.join(methods)}")
-    parts = ablations(whole)
-    others = {name: method for name, method in methods.items() if method is not whole}
-    return {**others, **{f"kinecast, {name}": part for name, part in parts.items()}, "kinecast": whole}
-
-
-def warn_of_known(contestants: Contestants, test: Sequence[Recording]) -> None:
-    """A note where models were trained on recordings of the test recordings' names."""
-    known = [recording.name for recording in test if recording.name in contestants.trained_on]
-    if known:
-        note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
-
-
-def _unique(names: Sequence[str]) -> list[str]:
-    """Names that occur more than once with a number behind."""
-    return [
-        f"{name} #{names[: place + 1].count(name)}" if names.count(name) > 1 else name
-        for place, name in enumerate(names)
-    ]
-
-
-def _limits(cards: Sequence[ModelCard]) -> JointLimits:
-    """Those that a constrained model holds itself to, else those found in training."""
+    # Those that a constrained model holds itself to, else those found in training.
     held = [card.limits for card in cards if card.method == "kinecast" or card.method.endswith("_constrained")]
-    return (held or [cards[0].limits])[0]
+    return MethodSet(methods, (held or [first.limits])[0], trained_on, options)

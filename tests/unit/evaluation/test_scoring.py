@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.posture import points_from_postures
 from kinecast.evaluation.metrics import LEVELS
-from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
 from kinecast.prediction.baselines import constant_velocity, zero_velocity
