@@ -110,7 +110,7 @@ def accuracy(
     forecast ends) is certain of itself and has no "none"; the uniform one holds all for equally likely.
     """
     names = [*scene.goals, "none"]
-    truth = {recording.name: resample(recording, OPTIONS.rate, smooth=False) for recording in clean}
+    truth = {recording.name: resample(recording, OPTIONS.rate) for recording in clean}
     rows: list[tuple[float, int, float, int, int, int]] = []
     for part in all_windows(measured, every_frame(OPTIONS)):
         at = {frame: k for k, frame in enumerate(part.frames.tolist())}
@@ -263,7 +263,7 @@ def places(recordings: Sequence[Recording]) -> dict[str, Sphere | Box]:
     """Where wrists rested longest in recordings: spheres, at most `MOST`."""
     rested = []
     for recording in recordings:
-        sampled = resample(recording, OPTIONS.rate, smooth=False)
+        sampled = resample(recording, OPTIONS.rate)
         for side in HANDS:
             path = sampled.joint(f"{side}_wrist")
             speed = np.linalg.norm(path[7:] - path[:-7], axis=1) * OPTIONS.rate / 7

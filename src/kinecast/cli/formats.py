@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from kinecast.datasets import table
-from kinecast.datasets.compressed import head
+from kinecast.datasets.files import head
 from kinecast.datasets.loading import FORMATS, Format
 from kinecast.datasets.recording import Recording
 from kinecast.errors import MissingExtraError
