@@ -28,13 +28,9 @@ TIMEOUT = 30.0
 ATTEMPTS = 5
 """Broken connections in a row without any progress before giving up."""
 
-LARGEST_LISTING = 10_000_000
-"""Bytes of a record's file list."""
-
+LARGEST_LISTING = 10_000_000  # bytes
 MOST_FILES = 10_000
-
 CHUNK = 1 << 16
-
 CHECKSUM = re.compile(r"(md5:[0-9a-f]{32}|sha256:[0-9a-f]{64})\Z")
 
 UNSAFE = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
@@ -131,15 +127,15 @@ def download(
         raise DownloadError(f"{name}: {missing / 1e9:.2f} GB are missing, {root} has {free / 1e9:.2f} GB left")
     task = None if progress is None else progress.add_task(name, total=sum(remote.size for remote in remotes))
     done = 0
+
+    def advance(present: int) -> None:
+        if progress is not None and task is not None:
+            progress.update(task, completed=done + present)
+
     for remote, target in zip(remotes, targets, strict=True):
-
-        def advance(present: int, before: int = done) -> None:
-            if progress is not None and task is not None:
-                progress.update(task, completed=before + present)
-
         _fetch(remote, target, advance, patience)
         done += remote.size
-        advance(remote.size)
+        advance(0)
     return targets
 
 
@@ -174,7 +170,7 @@ def _zenodo_listing(public: PublicSet, url: str) -> list[RemoteFile]:
     try:
         with _open(url, {"Accept": "application/json"}) as response:
             content = response.read(LARGEST_LISTING + 1)
-    except DownloadError:
+    except DownloadError:  # which is an OSError
         raise
     except (OSError, HTTPException) as error:
         raise DownloadError(f"{public.name}: cannot read the list of files at {url}: {error}") from None
@@ -253,9 +249,7 @@ def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], pati
 
 def _gather_once(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> None:
     """One connection: append what is missing, from the start if the server cannot resume."""
-    have = part.stat().st_size
-    if have > remote.size:
-        have = 0
+    have = part.stat().st_size if part.stat().st_size <= remote.size else 0
     try:
         response = _open(remote.url, {"Range": f"bytes={have}-"} if have else {})
     except urllib.error.HTTPError as error:

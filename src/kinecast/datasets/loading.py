@@ -33,13 +33,7 @@ _UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
 
 @dataclass(frozen=True)
 class Format:
-    """A format of recordings.
-
-    Attributes:
-        name: on the command line.
-        matches: whether a file or folder is of it, by its content.
-        load: every recording in it.
-    """
+    """A format of recordings: its name, whether a file or folder is of it by its content, and what loads all in it."""
 
     name: str
     matches: Callable[[Path], bool]
@@ -124,11 +118,7 @@ def load_all(
 
 
 def check(recording: Recording, where: object) -> None:
-    """Check that a recording is of a person's two arms, in metres.
-
-    Args:
-        recording: as loaded.
-        where: file or folder, for the message.
+    """Check that a recording is of a person's two arms, in metres; `where` (file or folder) is for the message.
 
     Raises:
         DatasetError: fewer than 2 frames, an arm joint that is not tracked or never seen, a position
@@ -179,15 +169,12 @@ def _natural_order(path: Path) -> tuple[tuple[int, str], ...]:
 def _with_unique_names(recordings: list[Recording]) -> list[Recording]:
     """Recordings of one name told apart by their folder, else by a number."""
     again = Counter(recording.name for recording in recordings)
-    names = [
-        f"{recording.source.absolute().parent.name}/{recording.name}"
-        if recording.source and again[recording.name] > 1
-        else recording.name
-        for recording in recordings
-    ]
     seen: Counter[str] = Counter()
     unique = []
-    for recording, name in zip(recordings, names, strict=True):
+    for recording in recordings:
+        name = recording.name
+        if recording.source and again[name] > 1:
+            name = f"{recording.source.absolute().parent.name}/{name}"
         seen[name] += 1
         unique.append(replace(recording, name=name if seen[name] == 1 else f"{name}#{seen[name]}"))
     return unique

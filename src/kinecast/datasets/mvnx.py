@@ -89,8 +89,7 @@ def _load_csv(path: Path) -> Recording:
         if len(axes) < 3:
             problem = f"segment {segment} has columns for {', '.join(axes)}, expected x, y, z"
             raise DatasetError(f"{path}, line 1", problem)
-    columns = [axes[axis] for axes in segments.values() for axis in "xyz"]
-    table = rows(data, len(names), path, first_line=2, use=columns)
+    table = rows(data, len(names), path, first_line=2, use=[axes[axis] for axes in segments.values() for axis in "xyz"])
     positions = table.reshape(len(table), len(segments), 3)
     notes = ("rate not stated by the format; 240 Hz assumed",)
     return _recording(path, list(segments), np.arange(len(table)) / _CSV_RATE, positions, _CSV_RATE, notes=notes)

@@ -21,17 +21,16 @@ from jaxtyping import Float, Int
 
 from kinecast.datasets.files import BYTE_ORDER_MARK, MOST_POINTS, base_name, head, numbers, read_bytes
 from kinecast.datasets.recording import Description, Recording, describe
-from kinecast.errors import DatasetError, MissingExtraError, OptionError
+from kinecast.errors import DatasetError, OptionError
 
 _WORLD = "z up, right-handed, metres, seconds"
-_METADATA_KEY = b"kinecast"
 _CSV_METADATA = b"# kinecast "
 _PARQUET_MAGIC = b"PAR1"
 _POSITION = ("x", "y", "z")
 _COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
 _REQUIRED = ("stamp", "person", "joint", *_POSITION)
-_WORDS = ("person", "joint", "label")
-_NUMBERS = ("stamp", *_POSITION, "confidence", *_COVARIANCE, "made")
+WORDS = ("person", "joint", "label")
+NUMBERS = ("stamp", *_POSITION, *_COVARIANCE, "made")
 _CHUNK = 1 << 16  # rows written at a time
 
 
@@ -64,7 +63,6 @@ class Rows:
         person: (R,) person ids.
         joint: (R,) joint names.
         position: (R, 3) [m], z up; NaN where missing.
-        confidence: (R,) or None.
         covariance: (R, 6) xx, xy, xz, yy, yz, zz of the position [m²], or None.
         label: (R,) what the person is doing, or None.
         made: (R,) when a predicted row was predicted [s], or None for measured rows.
@@ -75,7 +73,6 @@ class Rows:
     person: Words
     joint: Words
     position: Float[np.ndarray, "R 3"]
-    confidence: Float[np.ndarray, " R"] | None = None
     covariance: Float[np.ndarray, "R 6"] | None = None
     label: Words | None = None
     made: Float[np.ndarray, " R"] | None = None
@@ -258,14 +255,21 @@ def write_rows(path: Path, rows: Rows) -> None:
     columns |= dict(zip(_POSITION, rows.position.T, strict=True))
     if rows.covariance is not None:
         columns |= dict(zip(_COVARIANCE, rows.covariance.T, strict=True))
-    more = {"confidence": rows.confidence, "label": rows.label, "made": rows.made}
+    more = {"label": rows.label, "made": rows.made}
     columns |= {name: column for name, column in more.items() if column is not None}
     metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
-    writers = {".parquet": _write_parquet, ".csv": _write_csv}
-    if path.suffix not in writers:
+    if path.suffix not in (".parquet", ".csv"):
         raise OptionError(f"a table is written as .parquet or .csv, not {path.name!r}")
+    write_columns = _write_csv if path.suffix == ".csv" else _parquet().write
     with _whole(path) as file:
-        writers[path.suffix](file, columns, metadata)
+        write_columns(file, columns, metadata)
+
+
+def _parquet() -> ModuleType:
+    """The module that needs the extra."""
+    from kinecast.datasets import parquet
+
+    return parquet
 
 
 @contextmanager
@@ -289,14 +293,14 @@ def read_rows(path: Path) -> Rows:
         MissingExtraError: parquet without the extra.
         DatasetError: the file is no table, lacks a column, holds another type in one, or has too many rows.
     """
-    columns, metadata = _read_parquet(path) if head(path).startswith(_PARQUET_MAGIC) else _read_csv(path)
+    is_parquet = head(path).startswith(_PARQUET_MAGIC)
+    columns, metadata = _parquet().read(path) if is_parquet else _read_csv(path)
     covariance = [columns[name] for name in _COVARIANCE if name in columns]
     return Rows(
         stamp=columns["stamp"],
         person=columns["person"],
         joint=columns["joint"],
         position=np.stack([columns[name] for name in _POSITION], axis=-1),
-        confidence=columns.get("confidence"),
         covariance=np.stack(covariance, axis=-1) if len(covariance) == len(_COVARIANCE) else None,
         label=columns.get("label"),
         made=columns.get("made"),
@@ -314,7 +318,7 @@ def _metadata(text: bytes, path: Path) -> dict[str, Any]:
     return metadata
 
 
-def _require_columns(names: Sequence[str], path: Path) -> None:
+def require_columns(names: Sequence[str], path: Path) -> None:
     """Check that each column is there, and once."""
     missing = [name for name in _REQUIRED if name not in names]
     if missing:
@@ -324,7 +328,7 @@ def _require_columns(names: Sequence[str], path: Path) -> None:
         raise DatasetError(path, f"two columns {min(repeated)!r}")
 
 
-def _require_few(rows: int, path: Path) -> None:
+def require_few(rows: int, path: Path) -> None:
     if rows > MOST_POINTS:
         raise DatasetError(path, f"{rows} rows, at most {MOST_POINTS} are allowed")
 
@@ -357,12 +361,12 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
     reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", newline=""), strict=True)
     try:
         names = next(reader, [])
-        _require_columns(names, path)
-        number_names = [name for name in _NUMBERS if name in names]
+        require_columns(names, path)
+        number_names = [name for name in NUMBERS if name in names]
         number_cells = itemgetter(*map(names.index, number_names))
         what = [f"damaged table: {name}" for name in number_names]
         values = array("d")
-        words = {name: (names.index(name), dict[str, int](), array("i")) for name in _WORDS if name in names}
+        words = {name: (names.index(name), dict[str, int](), array("i")) for name in WORDS if name in names}
         rows = 0
         for row in reader:
             if not row:
@@ -376,53 +380,7 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
             rows += 1
     except (csv.Error, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}, line {reader.line_num + before}", f"damaged table: {error}") from error
-    _require_few(rows, path)
+    require_few(rows, path)
     columns: dict[str, Any] = dict(zip(number_names, np.array(values).reshape(rows, len(number_names)).T, strict=True))
     columns |= {name: Words(tuple(known), np.array(codes, np.int32)) for name, (_, known, codes) in words.items()}
     return columns, metadata
-
-
-def _pyarrow() -> ModuleType:
-    try:
-        import pyarrow.parquet
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("parquet", "parquet") from error
-    return pyarrow
-
-
-def _write_parquet(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes) -> None:
-    pa = _pyarrow()
-
-    def encoded(words: Words) -> Any:
-        codes = pa.array(words.codes, mask=words.codes < 0)
-        return pa.DictionaryArray.from_arrays(codes, pa.array(words.names, type=pa.string()))
-
-    table = pa.table({name: encoded(each) if isinstance(each, Words) else each for name, each in columns.items()})
-    pa.parquet.write_table(table.replace_schema_metadata({_METADATA_KEY: metadata}), file, compression="zstd")
-
-
-def _read_parquet(path: Path) -> tuple[dict[str, Any], bytes | None]:
-    """The known columns by name, and the metadata."""
-    pa = _pyarrow()
-    try:
-        file = pa.parquet.ParquetFile(pa.BufferReader(read_bytes(path)))
-        _require_few(file.metadata.num_rows, path)
-        _require_columns(file.schema_arrow.names, path)
-        table = file.read(columns=[name for name in (*_NUMBERS, *_WORDS) if name in file.schema_arrow.names])
-        table.validate(full=True)  # a damaged file may hold codes of words that are not there
-        columns: dict[str, Any] = {}
-        for name in table.column_names:
-            column = table.column(name)
-            columns[name] = _words(pa, column) if name in _WORDS else column.cast(pa.float64()).to_numpy()
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise DatasetError(path, f"damaged table: {error}") from error
-    return columns, (table.schema.metadata or {}).get(_METADATA_KEY)
-
-
-def _words(pa: ModuleType, column: Any) -> Words:
-    """A column of strings, plain or encoded, or of numbers that stand for names."""
-    words = column if pa.types.is_dictionary(column.type) else column.cast(pa.string()).dictionary_encode()
-    words = words.unify_dictionaries().combine_chunks()
-    if isinstance(words, pa.ChunkedArray):  # of no rows
-        return Words((), np.empty(0, dtype=np.int32))
-    return Words(tuple(words.dictionary.to_pylist()), words.indices.fill_null(-1).to_numpy().astype(np.int32))

@@ -105,14 +105,14 @@ def test_every_column_round_trips(tmp_path: Path, suffix: str) -> None:
         person=Words.of(["p", "p", "q"]),
         joint=Words.of(["left_wrist", "nose", "nose"]),
         position=rng.normal(size=(3, 3)),
-        confidence=np.array([0.1, np.nan, 1.0]),
+        made=np.array([0.0, np.nan, 0.1]),
         covariance=rng.normal(size=(3, 6)),
         label=Words.of(["a", None, ""]),
         metadata={"rate": 30.0, "source": "test"},
     )
     write_rows(tmp_path / f"a{suffix}", rows)
     found = read_rows(tmp_path / f"a{suffix}")
-    for name in ("stamp", "position", "confidence", "covariance"):
+    for name in ("stamp", "position", "made", "covariance"):
         np.testing.assert_array_equal(getattr(found, name), getattr(rows, name))
     for name in ("person", "joint", "label"):
         column, expected = getattr(found, name), getattr(rows, name)
