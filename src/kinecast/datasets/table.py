@@ -265,6 +265,12 @@ def write_rows(path: Path, rows: Rows) -> None:
         write_columns(file, columns, metadata)
 
 
+def require_extra(path: Path) -> None:
+    """MissingExtraError where a table of this name cannot be written or read because the extra is missing."""
+    if path.suffix == ".parquet":
+        _parquet()
+
+
 def _parquet() -> ModuleType:
     """The module that needs the extra."""
     from kinecast.datasets import parquet
