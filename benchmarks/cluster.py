@@ -29,13 +29,13 @@ from typing import Any
 
 import numpy as np
 import psutil
+from kinecast.prediction.kinecast.expert_training import Examples
 
 from benchmarks.machine import facts, save
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
-from kinecast.prediction.kinecast.expert_training import Examples
 from kinecast.prediction.methods import TrainingOptions, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks.workers import Serial

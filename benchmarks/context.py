@@ -28,6 +28,8 @@ from typing import Any
 
 import numba
 import numpy as np
+from kinecast.prediction.forecast import Method
+from kinecast.prediction.kinecast.method import Horizon
 
 from benchmarks.generalisation import VICON
 from benchmarks.machine import RESULTS, facts, save
@@ -40,9 +42,7 @@ from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evalua
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 from kinecast.pipeline import every_frame, followed, training_windows
-from kinecast.prediction.forecast import Method
 from kinecast.prediction.goals import HANDS, WRISTS
-from kinecast.prediction.kinecast.method import Horizon
 from kinecast.prediction.methods import TrainingOptions, card_of, read_method, save_method, shipped_methods, train
 
 OPTIONS = WindowOptions()
@@ -98,7 +98,7 @@ def accuracy(
     forecast ends) is certain of itself and has no "none"; the uniform one holds all for equally likely.
     """
     names = [*scene.goals, "none"]
-    truth = {recording.name: resample(recording, OPTIONS.rate, smooth=False) for recording in clean}
+    truth = {recording.name: resample(recording, OPTIONS.rate) for recording in clean}
     rows: list[tuple[float, int, float, int, int, int]] = []
     for part in all_windows(measured, every_frame(OPTIONS)):
         at = {frame: k for k, frame in enumerate(part.frames.tolist())}
@@ -250,7 +250,7 @@ def places(recordings: Sequence[Recording]) -> dict[str, Sphere | Box]:
     """Where wrists rested longest in recordings: spheres, at most `MOST`."""
     rested = []
     for recording in recordings:
-        sampled = resample(recording, OPTIONS.rate, smooth=False)
+        sampled = resample(recording, OPTIONS.rate)
         for side in HANDS:
             path = sampled.joint(f"{side}_wrist")
             speed = np.linalg.norm(path[7:] - path[:-7], axis=1) * OPTIONS.rate / 7

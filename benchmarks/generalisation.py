@@ -16,13 +16,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kinecast.prediction.forecast import Method
+
 from kinecast.body.limits import JointLimits
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
-from kinecast.prediction.forecast import Method
 from kinecast.prediction.methods import TrainingOptions, limits_of, train
 
 VICON, HA4M, LEGO, KTH = (

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kinecast.prediction.forecast import Method
 
 from benchmarks.machine import facts, milliseconds, save
 from benchmarks.naive import NaiveConstrained
@@ -32,7 +33,6 @@ from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.shapes import Box, ConstantVelocity, MovingObstacle
 from kinecast.pipeline import frames, training_windows
-from kinecast.prediction.forecast import Method
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PostureSeries

@@ -47,9 +47,9 @@ def main() -> None:
         except KinecastError as error:
             print(f"\na file in the wrong unit is refused:\n  {str(error).replace(name, '…')}")
 
-        # Parquet, written by kinecast, comes back bit for bit, with rate, subject, task and labels.
-        table.write(folder / "own.parquet", [recording])
-        recordings = load(folder / "own.parquet")
+        # What kinecast writes comes back bit for bit, with rate, subject, task and labels.
+        table.write(folder / "written.csv", [recording])
+        recordings = load(folder / "written.csv")
 
     predictor = Predictor.shipped(options=PredictorOptions(samples=200))
     statuses = Counter(prediction.status for prediction in stream(recordings, predictor))

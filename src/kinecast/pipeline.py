@@ -11,25 +11,12 @@ from jaxtyping import Float
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, Windows, all_windows
-from kinecast.errors import DatasetError, OptionError
+from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.predictor import Predictor
 from kinecast.tasks.workers import Progress, Workers
 from kinecast.types import Prediction, SkeletonFrame
-
-__all__ = [
-    "every_frame",
-    "followed",
-    "frames",
-    "observations",
-    "stream",
-    "training_windows",
-    "training_windows_by_action",
-]
-
-FEWEST = 200
-"""Windows that an action needs for a model of its own."""
 
 
 def training_windows(
@@ -78,56 +65,6 @@ def training_windows(
     return free
 
 
-def training_windows_by_action(
-    recordings: Sequence[Recording],
-    options: WindowOptions,
-    scene: Scene | None = None,
-    workers: Workers | None = None,
-) -> dict[str, TrainingWindows]:
-    """The windows of each action with enough of them, by name: the frames' label where there are labels, else the task.
-
-    Args:
-        recordings, options, scene, workers: as for `training_windows`.
-
-    Raises:
-        OptionError: fewer than two actions have `FEWEST` windows.
-    """
-    labelled = [recording for recording in recordings if recording.labels is not None]
-    found: dict[str, TrainingWindows] = {}
-    counts: dict[str, int] = {}
-    for action in sorted({label for recording in labelled for label in recording.labels or () if label}):
-        own = [recording for recording in labelled if action in (recording.labels or ())]
-        _keep(found, counts, action, own, replace(options, label=action), scene, workers)
-    others = [recording for recording in recordings if recording.labels is None and recording.task]
-    for task in sorted({recording.task for recording in others}):
-        own = [recording for recording in others if recording.task == task]
-        _keep(found, counts, task, own, options, scene, workers)
-    if len(found) < 2:
-        known = ", ".join(f"{name} {count}" for name, count in counts.items()) or "no labels and no tasks"
-        raise OptionError(f"models per action need two actions with {FEWEST} windows or more; found: {known}")
-    return found
-
-
-def _keep(
-    found: dict[str, TrainingWindows],
-    counts: dict[str, int],
-    action: str,
-    recordings: Sequence[Recording],
-    options: WindowOptions,
-    scene: Scene | None,
-    workers: Workers | None,
-) -> None:
-    """Adds an action's windows where there are enough."""
-    try:
-        windows = training_windows(recordings, options, scene, workers=workers)
-    except (DatasetError, OptionError):  # none at all, or none outside obstacles
-        counts[action] = 0
-        return
-    counts[action] = len(windows)
-    if len(windows) >= FEWEST and action not in found:
-        found[action] = windows
-
-
 def observations(part: Windows) -> list[Observation]:
     """The windows of one recording as a predictor sees them."""
     return [
@@ -138,12 +75,12 @@ def observations(part: Windows) -> list[Observation]:
 
 def every_frame(options: WindowOptions) -> WindowOptions:
     """Options for the windows that end with each frame, gaps and all: what an online predictor sees."""
-    return replace(options, stride=1, whole=False, label=None, trim=False)
+    return replace(options, stride=1, whole=False, label=None)
 
 
 def followed(history: Windows) -> list[tuple[int, Observation, Float[np.ndarray, "6 3"]]]:
     """Frame after frame: its index, the window that ends with it, and what was measured, NaN where it was not."""
-    measured = np.where(history.touched[:, -1, :6, None], np.nan, history.arms[:, -1])
+    measured = np.where(history.touched[:, -1, :, None], np.nan, history.arms[:, -1])
     return list(zip(history.frames.tolist(), observations(history), measured, strict=True))
 
 

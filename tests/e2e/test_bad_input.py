@@ -20,7 +20,7 @@ import pytest
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets import table
 from kinecast.datasets.loading import load
-from kinecast.datasets.table_file import Rows, Words, write_rows
+from kinecast.datasets.table import Rows, Words, write_rows
 
 Kinecast = Callable[..., Any]
 

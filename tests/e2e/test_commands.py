@@ -15,10 +15,10 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets import table
-from kinecast.datasets.difference import differences
 from kinecast.datasets.loading import load
+from kinecast.datasets.recording import differences
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
-from kinecast.datasets.table_file import read_rows
+from kinecast.datasets.table import read_rows
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.methods import METHODS, read_method
 from kinecast.types import Status

@@ -13,8 +13,8 @@ from kinecast.cli.options import FormatName, Switch
 from kinecast.cli.output_paths import check_file
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import one_scene, read_recordings
-from kinecast.datasets.difference import differences
 from kinecast.datasets.loading import load_all
+from kinecast.datasets.recording import differences
 from kinecast.errors import OptionError
 
 NO_BVH = "BVH holds the rotations of a skeleton whose bones keep their length, which positions do not tell"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kinecast.datasets import table
-from kinecast.datasets.compressed import head
+from kinecast.datasets.files import head
 from kinecast.datasets.loading import FORMATS, Format
 from kinecast.datasets.recording import Recording
 

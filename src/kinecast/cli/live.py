@@ -17,7 +17,6 @@ from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
 from kinecast.cli.options import SceneFile, check_seed
-from kinecast.cli.output_paths import check_file
 from kinecast.cli.progress import CONSOLE
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.errors import OptionError

@@ -14,7 +14,7 @@ from kinecast.cli.options import File, FormatName, SceneFile, check_seed
 from kinecast.cli.output_paths import check_file
 from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import one_scene, read_recordings
-from kinecast.datasets.table_file import Rows, Words, write_rows
+from kinecast.datasets.table import Rows, Words, require_extra, write_rows
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import stream
 from kinecast.predictor import Predictor, PredictorOptions
@@ -48,6 +48,7 @@ def predict(
     """
     check_seed(seed)
     check_file(out, (".parquet", ".csv"))
+    require_extra(out)
     options = PredictorOptions(samples=samples, seed=seed)
     obstacles = None if scene is None else Scene.load(scene)
     recordings = one_scene(read_recordings((path,), format), path, "predict")

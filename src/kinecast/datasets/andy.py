@@ -11,13 +11,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.datasets import mvnx, xsens_csv
-from kinecast.datasets.compressed import base_name, read_bytes
-from kinecast.datasets.delimited import number
+from kinecast.datasets import mvnx
+from kinecast.datasets.files import base_name, number, read_bytes
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
-
-__all__ = ["ACTIONS", "NO_MAJORITY", "load", "matches"]
 
 ACTIONS = {
     "Re": "reaching", "Pi": "picking", "Pl": "placing", "Rl": "release", "Ca": "carrying",
@@ -35,7 +32,7 @@ _TRIAL = re.compile(r"participant_?(\d+)_(setup_?\w+?_seq(?:uence)?_?\d+)", re.I
 
 def matches(path: Path) -> bool:
     """Whether a file is Xsens motion with a label file, beside it or in the folder of annotations."""
-    return (mvnx.matches(path) or xsens_csv.matches(path)) and _label_file(path) is not None
+    return mvnx.matches(path) and _label_file(path) is not None
 
 
 def load(path: Path) -> list[Recording]:
@@ -53,10 +50,9 @@ def load(path: Path) -> list[Recording]:
     """
     labels = _label_file(path)
     if labels is None:
-        raise DatasetError(
-            path, f"no {mvnx.sequence_name(path)}.labels.csv beside it or in annotations/labels_csv2 above"
-        )
-    (motion,) = mvnx.load(path) if mvnx.matches(path) else xsens_csv.load(path)
+        missing = f"{mvnx.sequence_name(path)}.labels.csv"
+        raise DatasetError(path, f"no {missing} beside it or in annotations/labels_csv2 above")
+    (motion,) = mvnx.load(path)
     trial = _TRIAL.search(motion.name)
     return [
         replace(
@@ -73,15 +69,10 @@ def _label_file(path: Path) -> Path | None:
     """The label file of a trial; names are compared without case."""
     wanted = f"{mvnx.sequence_name(path)}.labels".casefold()
     folder = path.absolute().parent
-    above = (parent / "annotations" / "labels_csv2" for parent in folder.parents)
-    beside = folder.glob("*.labels.csv*")
-    for file in [
-        *beside,
-        *(file for place in above if place.is_dir() for file in sorted(place.glob("*/*.labels.csv*"))),
-    ]:
-        if base_name(file).casefold() == wanted:
-            return file
-    return None
+    files = [*folder.glob("*.labels.csv*")]
+    for parent in folder.parents:
+        files += sorted(parent.glob("annotations/labels_csv2/*/*.labels.csv*"))
+    return next((file for file in files if base_name(file).casefold() == wanted), None)
 
 
 def _frame_labels(file: Path, stamps: Float[np.ndarray, " N"]) -> tuple[str, ...]:

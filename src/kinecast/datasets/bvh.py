@@ -12,13 +12,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from kinecast.body.skeleton import ARM_JOINTS, BVH_COLLAR, BVH_FOREARM, Skeleton
-from kinecast.datasets.compressed import MOST_POINTS, base_name, head, read_bytes
-from kinecast.datasets.delimited import number, rows
+from kinecast.datasets.files import MOST_POINTS, base_name, head, number, read_bytes, rows
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.transforms import from_y_up
-
-__all__ = ["CENTIMETRES_Y_UP", "BvhOptions", "load", "matches"]
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 _MOST_JOINTS = 1000

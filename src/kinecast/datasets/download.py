@@ -1,31 +1,36 @@
-"""Public recordings whose licence allows it, downloaded, resumed and checked."""
+"""Public recordings whose licence allows it, downloaded: resumed where they broke off, checked, inside their folder."""
 
 from __future__ import annotations
 
+import hashlib
+import http.client
 import json
 import re
 import shutil
-from collections.abc import Mapping
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from http.client import HTTPException
 from importlib.resources import files
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from urllib.parse import quote, urlsplit
 
-import pooch
 from rich.progress import Progress
 
-from kinecast.datasets.transfer import RemoteFile, ResumableTransfer, open_url
 from kinecast.errors import DownloadError, OptionError
 
-__all__ = ["PublicSet", "download", "public_sets"]
+TIMEOUT = 30.0
+"""Seconds without a byte after which a connection counts as broken."""
 
-LARGEST_LISTING = 10_000_000
-"""Bytes of a record's file list."""
+ATTEMPTS = 5
+"""Broken connections in a row without any progress before giving up."""
 
+LARGEST_LISTING = 10_000_000  # bytes
 MOST_FILES = 10_000
-
+CHUNK = 1 << 16
 CHECKSUM = re.compile(r"(md5:[0-9a-f]{32}|sha256:[0-9a-f]{64})\Z")
 
 UNSAFE = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
@@ -42,7 +47,7 @@ class PublicSet:
         licence: its name.
         home: page to read first: licence and how to cite.
         url: address its files stand under; the address of its record where there is no list of files.
-        files: name to checksum and size, from verified copies; None for a Zenodo record, which lists its own.
+        files: name to sha256 and bytes, from verified copies; None for a Zenodo record, which lists its own.
     """
 
     name: str
@@ -50,25 +55,36 @@ class PublicSet:
     licence: str
     home: str
     url: str
-    files: Mapping[str, tuple[str, int]] | None
+    files: Mapping[str, Mapping[str, str | int]] | None
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """A file somewhere else.
+
+    Attributes:
+        name: relative path it is stored under, with `/`.
+        url: where it is.
+        checksum: `sha256:…` or `md5:…` of its bytes.
+        size: in bytes.
+    """
+
+    name: str
+    url: str
+    checksum: str
+    size: int
+
+    def is_at(self, path: Path) -> bool:
+        """Whether the bytes at a path have its checksum."""
+        kind, _, expected = self.checksum.partition(":")
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, kind).hexdigest() == expected
 
 
 def public_sets() -> dict[str, PublicSet]:
     """The sets `download` knows, by name."""
     table = json.loads((files("kinecast") / "data" / "downloads.json").read_text(encoding="utf-8"))
-    return {
-        name: PublicSet(
-            name,
-            entry["about"],
-            entry["licence"],
-            entry["home"],
-            entry["url"],
-            None
-            if entry["files"] is None
-            else {file: (f"sha256:{facts['sha256']}", facts["bytes"]) for file, facts in entry["files"].items()},
-        )
-        for name, entry in table.items()
-    }
+    return {name: PublicSet(name, **entry) for name, entry in table.items()}
 
 
 def download(
@@ -109,54 +125,22 @@ def download(
     root.mkdir(parents=True, exist_ok=True)
     if missing > (free := shutil.disk_usage(root).free):
         raise DownloadError(f"{name}: {missing / 1e9:.2f} GB are missing, {root} has {free / 1e9:.2f} GB left")
-    pooch.get_logger().setLevel("WARNING")  # the bar says what is going on
-    store = pooch.create(
-        path=root,
-        base_url="",
-        registry={remote.name: remote.checksum for remote in remotes},
-        urls={remote.name: remote.url for remote in remotes},
-    )
     task = None if progress is None else progress.add_task(name, total=sum(remote.size for remote in remotes))
     done = 0
+
+    def advance(present: int) -> None:
+        if progress is not None and task is not None:
+            progress.update(task, completed=done + present)
+
     for remote, target in zip(remotes, targets, strict=True):
-
-        def advance(present: int, before: int = done) -> None:
-            if progress is not None and task is not None:
-                progress.update(task, completed=before + present)
-
-        _fetch(store, remote, target, ResumableTransfer(remote, _part(remote, target), advance, patience))
+        _fetch(remote, target, advance, patience)
         done += remote.size
-        advance(remote.size)
+        advance(0)
     return targets
 
 
-def _fetch(store: pooch.Pooch, remote: RemoteFile, target: Path, transfer: ResumableTransfer) -> None:
-    """One file, through pooch: kept if whole, else downloaded, checked and moved into place."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        store.fetch(remote.name, downloader=transfer)
-    except DownloadError:
-        raise
-    except ValueError:  # pooch: the checksum
-        raise DownloadError(
-            f"{remote.name}: what {remote.url} sent is not the file it should be (its checksum differs from"
-            f" {remote.checksum}); nothing of it is kept"
-        ) from None
-    except OSError as error:
-        raise DownloadError(f"{remote.name}: cannot be stored in {target.parent}: {error}") from None
-
-
-def _part(remote: RemoteFile, target: Path) -> Path:
-    """Where an incomplete file waits; another version of the file waits elsewhere."""
-    return target.with_name(f"{target.name}.{remote.checksum.partition(':')[2][:8]}.part")
-
-
 def _target(root: Path, name: str) -> Path:
-    """The place of a file inside the folder.
-
-    Raises:
-        DownloadError: a name that leads elsewhere, or that some system cannot store.
-    """
+    """The place of a file inside the folder; refuses a name that leads elsewhere, or that some system cannot store."""
     parts = name.split("/")
     if (
         UNSAFE.search(name)
@@ -164,7 +148,7 @@ def _target(root: Path, name: str) -> Path:
         or any(part in ("", ".", "..") or part != part.strip(" .") or len(part) > 200 for part in parts)
     ):
         raise DownloadError(f"refusing the file name {name[:80]!r}: it is not a plain path inside the folder")
-    target = root.joinpath(*PurePosixPath(name).parts)
+    target = root.joinpath(*parts)
     if not target.resolve().is_relative_to(root.resolve()):
         raise DownloadError(f"refusing the file name {name!r}: a link in {root} leads outside")
     return target
@@ -175,17 +159,20 @@ def _listing(public: PublicSet, url: str) -> list[RemoteFile]:
     if public.files is None:
         return _zenodo_listing(public, url)
     base = url if url.endswith("/") else url + "/"
-    return [RemoteFile(name, base + quote(name), checksum, size) for name, (checksum, size) in public.files.items()]
+    return [
+        RemoteFile(name, base + quote(name), f"sha256:{facts['sha256']}", int(facts["bytes"]))
+        for name, facts in public.files.items()
+    ]
 
 
 def _zenodo_listing(public: PublicSet, url: str) -> list[RemoteFile]:
     """The files of a Zenodo record, with the checksums its API states."""
     try:
-        with open_url(url, {"Accept": "application/json"}) as response:
+        with _open(url, {"Accept": "application/json"}) as response:
             content = response.read(LARGEST_LISTING + 1)
+    except DownloadError:  # which is an OSError
+        raise
     except (OSError, HTTPException) as error:
-        if isinstance(error, DownloadError):
-            raise
         raise DownloadError(f"{public.name}: cannot read the list of files at {url}: {error}") from None
     if len(content) > LARGEST_LISTING:
         raise DownloadError(f"{public.name}: the list of files at {url} is larger than {LARGEST_LISTING} bytes")
@@ -209,3 +196,98 @@ def _zenodo_listing(public: PublicSet, url: str) -> list[RemoteFile]:
         if not remote.url.startswith(server):
             raise DownloadError(f"{public.name}: {remote.name!r} is listed on another server: {remote.url[:200]}")
     return remotes
+
+
+def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], patience: float) -> None:
+    """One file: kept if whole, else gathered in a `.part` file also across runs, checked and moved into place."""
+    # another version of the file waits under another name
+    part = target.with_name(f"{target.name}.{remote.checksum.partition(':')[2][:8]}.part")
+    try:
+        if target.exists() and remote.is_at(target):
+            return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part.touch()
+        _gather(remote, part, advance, patience)
+        if not remote.is_at(part):
+            part.unlink()
+            raise DownloadError(
+                f"{remote.name}: what {remote.url} sent is not the file it should be (its checksum differs from"
+                f" {remote.checksum}); nothing of it is kept"
+            )
+        part.replace(target)
+    except DownloadError:
+        raise
+    except OSError as error:
+        raise DownloadError(f"{remote.name}: cannot be stored in {target.parent}: {error}") from None
+    finally:
+        if part.exists() and not part.stat().st_size:
+            part.unlink()
+
+
+def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], patience: float) -> None:
+    """Bytes appended to a file until all are there; gives up when connections break again and again."""
+    failures = 0
+    while (before := part.stat().st_size) != remote.size:
+        problem = "connection closed"
+        try:
+            _gather_once(remote, part, advance)
+        except DownloadError:
+            raise
+        except (OSError, HTTPException) as error:
+            problem = str(getattr(error, "reason", None) or error) or type(error).__name__
+        present = part.stat().st_size
+        if present == remote.size:
+            return
+        failures = 1 if present > before else failures + 1
+        if failures >= ATTEMPTS:
+            raise DownloadError(
+                f"{remote.name}: {problem} ({remote.url}). {present} of {remote.size} bytes"
+                " are kept: the same command continues there."
+            )
+        time.sleep(patience * 2 ** (failures - 1))
+
+
+def _gather_once(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> None:
+    """One connection: append what is missing, from the start if the server cannot resume."""
+    have = part.stat().st_size if part.stat().st_size <= remote.size else 0
+    try:
+        response = _open(remote.url, {"Range": f"bytes={have}-"} if have else {})
+    except urllib.error.HTTPError as error:
+        with error:
+            if error.code == 416:  # what is there does not fit the file: start again
+                part.write_bytes(b"")
+                return
+            if error.code < 500 and error.code != 429:
+                answer = f"{error.code} {error.reason} for {remote.url}"
+                raise DownloadError(f"{remote.name}: the server answers {answer}") from None
+            raise
+    with response:
+        resumed = response.status == 206 and response.headers.get("Content-Range", "").startswith(f"bytes {have}-")
+        if not resumed:
+            have = 0
+        with part.open("ab" if resumed else "wb") as file:
+            while have <= remote.size and (chunk := response.read(CHUNK)):
+                have += len(chunk)
+                file.write(chunk)
+                advance(have)
+    if have > remote.size:
+        part.unlink()
+        raise DownloadError(
+            f"{remote.name}: the server sends more than the file's {remote.size} bytes ({remote.url});"
+            " nothing of it is kept"
+        )
+
+
+def _open(url: str, headers: dict[str, str]) -> http.client.HTTPResponse:
+    """An open HTTP connection; DownloadError where the address is no http(s), OSError as urllib raises it."""
+    try:
+        scheme = urlsplit(url).scheme
+    except ValueError as error:
+        raise DownloadError(f"{url[:200]}: not an address: {error}") from None
+    if scheme not in ("http", "https"):
+        raise DownloadError(f"{url[:200]}: only http and https addresses are downloaded")
+    written_out = quote(url, safe="%/:?#[]@!$&'()*+,;=~")  # some listings leave blanks and umlauts as they are
+    # no compression on the way: sizes, ranges and checksums are those of the file
+    request = urllib.request.Request(written_out, headers={"Accept-Encoding": "identity", **headers})
+    response: http.client.HTTPResponse = urllib.request.urlopen(request, timeout=TIMEOUT)
+    return response

@@ -1,35 +1,37 @@
-"""HA4M's raw folders: one text file a frame, from Azure Kinect body tracking."""
+"""HA4M: raw clip folders of Azure Kinect body tracking, one text file a frame, and arrays of skeleton features."""
 
 from __future__ import annotations
 
+import io
 import re
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.body.skeleton import AZURE_KINECT_32
-from kinecast.datasets.compressed import read_bytes
-from kinecast.datasets.delimited import rows, split_lines
+from kinecast.body.skeleton import AZURE_KINECT_32, HA4M_ARMS_14, HA4M_UPPER_23, Skeleton
+from kinecast.datasets.files import WHOLE_LIMIT, base_name, head, read_bytes, rows, split_lines
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
 from kinecast.geometry.transforms import from_camera
 
-__all__ = ["LABELS", "RATE", "TASK", "label_name", "load", "matches", "subject_of"]
-
-RATE = 30.0
-TASK = "gear train assembly"
 LABELS = (
     "none", "carrier", "gear bearings", "planet gears", "carrier shaft", "sun shaft", "sun gear",
     "sun gear bearing", "ring bear", "block 2 on 1", "cover", "screws", "finish",
 )  # fmt: skip
 """Names of labels 0 to 12."""
 
+_RATE = 30.0
+_TASK = "gear train assembly"
 _CLIP = re.compile(r"IDU(\d{3})V\d{3}")
 _FRAME = re.compile(r"FrameID(\d+)(?:_.*)?\.txt(?:\.gz|\.xz)?")
 _COLUMNS = 14
 _JOINTS = len(AZURE_KINECT_32.joints)
+_NPY_MAGIC = b"\x93NUMPY"
+_FEATURES = {3 * len(skeleton.joints): skeleton for skeleton in (HA4M_UPPER_23, HA4M_ARMS_14)}
 
 
 def matches(path: Path) -> bool:
@@ -56,7 +58,7 @@ def load(path: Path) -> list[Recording]:
     if not cameras:
         raise DatasetError(path, "expected a clip's folder with frame files in Skeletons/<camera>/FrameID<N>_*.txt")
     label_files = sorted([*path.glob("Labels.txt*"), *path.glob("*/Labels.txt*")])
-    labels = _labels(label_files[0]) if label_files else None
+    labels = _clip_labels(label_files[0]) if label_files else None
     clip = path.absolute().name
     names = [clip if len(cameras) == 1 else f"{clip}/{camera.name}" for camera in cameras]
     return [
@@ -66,20 +68,52 @@ def load(path: Path) -> list[Recording]:
     ]
 
 
-def label_name(text: str, where: object) -> str:
-    """Name of a label written as its number; raises DatasetError where it is none of 0 to 12."""
-    if not (text.isdecimal() and int(text) < len(LABELS)):
-        raise DatasetError(where, f"label is {text[:40]!r}, expected 0 to {len(LABELS) - 1}")
-    return LABELS[int(text)]
+def matches_features(path: Path) -> bool:
+    """Whether a file is a NumPy array."""
+    return path.is_file() and head(path).startswith(_NPY_MAGIC)
 
 
-def subject_of(clip: str) -> str:
+def load_features(path: Path) -> list[Recording]:
+    """One clip of skeleton features, named as its file, e.g. `IDU001V001`.
+
+    Labels come from `../GroundTruth/<clip>.txt` where that file exists. `ArmSkel` holds joints 3 to 16 of
+    `UpSkel`: load one of the two.
+
+    Args:
+        path: npy file of float64 (69, T) or (42, T), in mm, camera axes.
+
+    Returns:
+        One recording at 30 Hz.
+
+    Raises:
+        DatasetError: the array or the label file is not as expected.
+    """
+    array, skeleton = _features(path)
+    positions = from_camera(array.reshape(3, len(skeleton.joints), -1).transpose(2, 1, 0)) / 1000.0
+    clip = base_name(path)
+    return [
+        Recording(
+            name=clip,
+            joints=skeleton.joints,
+            stamps=np.arange(len(positions)) / _RATE,
+            positions=positions,
+            rate=_RATE,
+            source=path,
+            format="ha4m-features",
+            subject=_subject(clip),
+            task=_TASK,
+            labels=_feature_labels(path, len(positions)),
+        )
+    ]
+
+
+def _subject(clip: str) -> str:
     """The person's id in a clip's name: `001` of `IDU001V002`; "" where the name is another."""
     found = _CLIP.fullmatch(clip)
     return found[1] if found else ""
 
 
-def _bodies(camera: Path, name: str, path: Path, labels: dict[int, str] | None) -> list[Recording]:
+def _bodies(camera: Path, name: str, path: Path, labels: dict[int, str] | None) -> Iterator[Recording]:
     """One camera's recordings, the longest first."""
     tracks: dict[int, dict[int, Float[np.ndarray, "J 3"]]] = {}
     for frame, file in _frames(camera):
@@ -87,29 +121,24 @@ def _bodies(camera: Path, name: str, path: Path, labels: dict[int, str] | None) 
             tracks.setdefault(body, {})[frame] = positions
     longest_first = sorted(tracks, key=lambda body: (-len(tracks[body]), body))
     short = [body for body in longest_first[1:] if len(tracks[body]) < 2]
-    notes = (f"bodies seen in one frame only, left out: {', '.join(map(str, short))}",) if short else ()
-    recordings = []
-    for body in longest_first:
-        if body in short:
-            continue
+    note = f"bodies seen in one frame only, left out: {', '.join(map(str, short))}"
+    for body in (body for body in longest_first if body not in short):
+        first = body == longest_first[0]
         frames = np.array(list(tracks[body]))
-        recordings.append(
-            Recording(
-                name=name if body == longest_first[0] else f"{name}/body{body}",
-                joints=AZURE_KINECT_32.joints,
-                stamps=(frames - frames[0]) / RATE,
-                positions=from_camera(np.stack(list(tracks[body].values()))) / 1000.0,
-                rate=RATE,
-                source=path,
-                format="ha4m",
-                person=str(body),
-                subject=subject_of(path.absolute().name),
-                task=TASK,
-                labels=None if labels is None else tuple(labels.get(int(frame), "") for frame in frames),
-                notes=notes if body == longest_first[0] else (),
-            )
+        yield Recording(
+            name=name if first else f"{name}/body{body}",
+            joints=AZURE_KINECT_32.joints,
+            stamps=(frames - frames[0]) / _RATE,
+            positions=from_camera(np.stack(list(tracks[body].values()))) / 1000.0,
+            rate=_RATE,
+            source=path,
+            format="ha4m",
+            person=str(body),
+            subject=_subject(path.absolute().name),
+            task=_TASK,
+            labels=None if labels is None else tuple(labels.get(int(frame), "") for frame in frames),
+            notes=(note,) if short and first else (),
         )
-    return recordings
 
 
 def _frames(camera: Path) -> list[tuple[int, Path]]:
@@ -133,24 +162,69 @@ def _frame_bodies(file: Path) -> dict[int, Float[np.ndarray, "J 3"]]:
     bodies = {}
     for body in np.unique(table[:, 0]):
         block = table[table[:, 0] == body]
-        order = np.argsort(block[:, 1])
-        if not np.array_equal(block[order, 1], np.arange(_JOINTS)):
-            raise DatasetError(
-                file, f"body {body:g} has {len(block)} rows, expected joint ids 0 to {_JOINTS - 1} once each"
-            )
-        bodies[int(body)] = block[order, 3:6]
+        block = block[np.argsort(block[:, 1])]
+        if not np.array_equal(block[:, 1], np.arange(_JOINTS)):
+            expected = f"joint ids 0 to {_JOINTS - 1} once each"
+            raise DatasetError(file, f"body {body:g} has {len(block)} rows, expected {expected}")
+        bodies[int(body)] = block[:, 3:6]
     return bodies
 
 
-def _labels(file: Path) -> dict[int, str]:
+def _label(text: str, where: object) -> str:
+    """Name of a label written as its number."""
+    if not (text.isdecimal() and int(text) < len(LABELS)):
+        raise DatasetError(where, f"label is {text[:40]!r}, expected 0 to {len(LABELS) - 1}")
+    return LABELS[int(text)]
+
+
+def _lines(file: Path) -> list[tuple[str, str]]:
+    """Every line of a label file, with its place for messages."""
+    text = read_bytes(file).decode("utf-8-sig", errors="replace").rstrip()
+    return [(f"{file}, line {number}", line.strip()) for number, line in enumerate(text.split("\n"), 1)]
+
+
+def _clip_labels(file: Path) -> dict[int, str]:
     """Label name of every frame id in `Labels.txt`."""
     labels = {}
-    for line, text in enumerate(read_bytes(file).decode("utf-8-sig", errors="replace").splitlines(), 1):
-        words = text.split()
+    for where, line in _lines(file):
+        words = line.split()
         if not words:
             continue
-        where = f"{file}, line {line}"
         if len(words) != 3 or not words[0].isdecimal():
-            raise DatasetError(where, f"found {text[:40]!r}, expected a frame id and two labels")
-        labels[int(words[0])] = label_name(words[1], where)
+            raise DatasetError(where, f"found {line[:40]!r}, expected a frame id and two labels")
+        labels[int(words[0])] = _label(words[1], where)
     return labels
+
+
+def _feature_labels(path: Path, frames: int) -> tuple[str, ...] | None:
+    """Label names of a clip, or None where it has no label file."""
+    file = path.absolute().parent.parent / "GroundTruth" / f"{base_name(path)}.txt"
+    if not file.is_file():
+        return None
+    lines = _lines(file)
+    if len(lines) != frames:
+        raise DatasetError(file, f"{len(lines)} labels for the {frames} frames of {path.name}")
+    return tuple(_label(line, where) for where, line in lines)
+
+
+def _features(path: Path) -> tuple[Float[np.ndarray, "C T"], Skeleton]:
+    """The file's array, its header checked before anything is loaded."""
+    data = io.BytesIO(head(path))
+    try:
+        version = np.lib.format.read_magic(data)
+        read_header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }[version]
+        shape, _, dtype = read_header(data)
+    except (ValueError, KeyError, EOFError, SyntaxError, TokenError) as error:
+        raise DatasetError(path, f"not a NumPy array of version 1 or 2: {error}") from error
+    if dtype != np.float64 or len(shape) != 2 or shape[0] not in _FEATURES:
+        raise DatasetError(path, f"array of {dtype} {shape}, expected float64 (69, T) or (42, T)")
+    size = data.tell() + 8 * shape[0] * shape[1]
+    if size > WHOLE_LIMIT:
+        raise DatasetError(path, f"array {shape} is larger than the limit of {WHOLE_LIMIT >> 20} MiB")
+    content = read_bytes(path)
+    if len(content) != size:
+        raise DatasetError(path, f"{len(content)} bytes, but an array {shape} takes {size}")
+    return np.load(io.BytesIO(content), allow_pickle=False), _FEATURES[shape[0]]

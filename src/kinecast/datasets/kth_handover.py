@@ -9,12 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import KTH_13
-from kinecast.datasets.compressed import read_bytes
-from kinecast.datasets.delimited import rows, split_lines
+from kinecast.datasets.files import read_bytes, rows, split_lines
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
-
-__all__ = ["load", "matches"]
 
 _RATE = 120.0
 _HEADER = "x,y,z,q0,q1,q2,q3"
@@ -39,9 +36,8 @@ def load(path: Path) -> list[Recording]:
         DatasetError: there are no segment files, one has another header, or their lengths differ.
     """
     if not matches(path):
-        raise DatasetError(
-            path, "expected a folder of giver_<segment>_pose_saved.csv and taker_<segment>_pose_saved.csv"
-        )
+        expected = "giver_<segment>_pose_saved.csv and taker_<segment>_pose_saved.csv"
+        raise DatasetError(path, f"expected a folder of {expected}")
     files: dict[str, dict[str, Path]] = {}
     for file in sorted(path.iterdir()):
         if found := _FILE.fullmatch(file.name):
@@ -51,11 +47,10 @@ def load(path: Path) -> list[Recording]:
 
 def _person(path: Path, person: str, segments: dict[str, Path]) -> Recording:
     tracks = [_track(file) for file in segments.values()]
+    first, *_ = segments.values()
     for file, track in zip(segments.values(), tracks, strict=True):
         if len(track) != len(tracks[0]):
-            raise DatasetError(
-                file, f"{len(track)} rows, but {next(iter(segments.values())).name} has {len(tracks[0])}"
-            )
+            raise DatasetError(file, f"{len(track)} rows, but {first.name} has {len(tracks[0])}")
     return Recording(
         name=f"{path.absolute().name}/{person}",
         joints=KTH_13.canonical(segments, path),

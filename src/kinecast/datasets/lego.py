@@ -8,24 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from kinecast.body.skeleton import LEGO_6
-from kinecast.datasets.compressed import base_name, head, read_bytes
-from kinecast.datasets.delimited import rows
+from kinecast.datasets.files import base_name, head, read_bytes, rows
 from kinecast.datasets.recording import Recording
 from kinecast.geometry.transforms import from_camera
 
-__all__ = ["load", "matches"]
-
 _ASSUMED_RATE = 30.0
 _COLUMNS = 18
+_NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 
 
 def matches(path: Path) -> bool:
     """Whether a file's first line is several words apart by white space, most of them numbers."""
-    if not path.is_file():
-        return False
-    words = head(path).partition(b"\n")[0].split()
-    numbers = sum(_is_number(word) for word in words)
-    return len(words) >= 6 and 2 * numbers > len(words)
+    words = head(path).partition(b"\n")[0].split() if path.is_file() else []
+    return len(words) >= 6 and 2 * sum(bool(_NUMBER.fullmatch(word)) for word in words) > len(words)
 
 
 def load(path: Path) -> list[Recording]:
@@ -57,11 +52,3 @@ def load(path: Path) -> list[Recording]:
             notes=("rate not stated by the format; 30 Hz assumed",),
         )
     ]
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -10,26 +10,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from kinecast.body.skeleton import ARM_JOINTS, require_arms
-from kinecast.datasets import (
-    andy,
-    bvh,
-    ha4m,
-    ha4m_features,
-    kth_handover,
-    lego,
-    mvnx,
-    table,
-    vicon,
-    xsens_csv,
-)
+from kinecast.datasets import andy, bvh, ha4m, kth_handover, lego, mvnx, table, vicon
 from kinecast.datasets.bvh import CENTIMETRES_Y_UP, BvhOptions
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
-
-__all__ = ["BONE_RANGE", "FARTHEST", "FORMATS", "Format", "check", "load", "load_all"]
 
 BONE_RANGE = (0.10, 0.60)
 """Shortest and longest believable median upper arm or forearm [m]. Adults' are 0.2 to 0.4 m; between marker
@@ -47,13 +33,7 @@ _UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
 
 @dataclass(frozen=True)
 class Format:
-    """A format of recordings.
-
-    Attributes:
-        name: on the command line.
-        matches: whether a file or folder is of it, by its content.
-        load: every recording in it.
-    """
+    """A format of recordings: its name, whether a file or folder is of it by its content, and what loads all in it."""
 
     name: str
     matches: Callable[[Path], bool]
@@ -65,10 +45,9 @@ def _formats(options: BvhOptions) -> tuple[Format, ...]:
     return (
         Format("kth-handover", kth_handover.matches, kth_handover.load),
         Format("ha4m", ha4m.matches, ha4m.load),
-        Format("ha4m-features", ha4m_features.matches, ha4m_features.load),
+        Format("ha4m-features", ha4m.matches_features, ha4m.load_features),
         Format("andy", andy.matches, andy.load),
         Format("mvnx", mvnx.matches, mvnx.load),
-        Format("mvnx", xsens_csv.matches, xsens_csv.load),
         Format("bvh", bvh.matches, partial(bvh.load, options=options)),
         Format("vicon", vicon.matches, vicon.load),
         Format("table", table.matches, table.load),
@@ -76,7 +55,7 @@ def _formats(options: BvhOptions) -> tuple[Format, ...]:
     )
 
 
-FORMATS = tuple(sorted({each.name for each in _formats(CENTIMETRES_Y_UP)}))
+FORMATS = tuple(sorted(each.name for each in _formats(CENTIMETRES_Y_UP)))
 """Names of the formats, as `load` takes them."""
 
 
@@ -139,11 +118,7 @@ def load_all(
 
 
 def check(recording: Recording, where: object) -> None:
-    """Check that a recording is of a person's two arms, in metres.
-
-    Args:
-        recording: as loaded.
-        where: file or folder, for the message.
+    """Check that a recording is of a person's two arms, in metres; `where` (file or folder) is for the message.
 
     Raises:
         DatasetError: fewer than 2 frames, an arm joint that is not tracked or never seen, a position
@@ -162,22 +137,17 @@ def check(recording: Recording, where: object) -> None:
     unseen = [joint for joint in ARM_JOINTS if np.isnan(recording.joint(joint)).any(axis=-1).all()]
     if unseen:
         raise DatasetError(place, f"{', '.join(unseen)} missing in every one of {frames} frames")
+    shortest, longest = BONE_RANGE
     for upper, lower in _BONES:
         lengths = np.linalg.norm(recording.joint(upper) - recording.joint(lower), axis=-1)
-        _check_bone(lengths[np.isfinite(lengths)], f"{upper} to {lower}", place)
-
-
-def _check_bone(lengths: Float[np.ndarray, " N"], bone: str, where: object) -> None:
-    if not len(lengths):
-        raise DatasetError(where, f"{bone} are never seen together")
-    shortest, longest = BONE_RANGE
-    median = float(np.median(lengths))
-    if shortest <= median <= longest:
-        return
-    guess = next((unit for scale, unit in _UNITS if shortest <= median / scale <= longest), None)
-    advice = f"; the file seems to be in {guess}" if guess else ""
-    allowed = f"an arm's bone is {shortest} to {longest} m"
-    raise DatasetError(where, f"{bone} is {median:.4g} m (median), but {allowed}{advice}")
+        if not np.isfinite(lengths).any():
+            raise DatasetError(place, f"{upper} to {lower} are never seen together")
+        median = float(np.nanmedian(lengths))
+        if not shortest <= median <= longest:
+            unit = next((unit for scale, unit in _UNITS if shortest <= median / scale <= longest), None)
+            allowed = f"an arm's bone is {shortest} to {longest} m"
+            advice = f"; the file seems to be in {unit}" if unit else ""
+            raise DatasetError(place, f"{upper} to {lower} is {median:.4g} m (median), but {allowed}{advice}")
 
 
 def _sources(path: Path, formats: Sequence[Format]) -> Iterator[tuple[Path, Format]]:
@@ -199,15 +169,12 @@ def _natural_order(path: Path) -> tuple[tuple[int, str], ...]:
 def _with_unique_names(recordings: list[Recording]) -> list[Recording]:
     """Recordings of one name told apart by their folder, else by a number."""
     again = Counter(recording.name for recording in recordings)
-    names = [
-        f"{recording.source.absolute().parent.name}/{recording.name}"
-        if recording.source and again[recording.name] > 1
-        else recording.name
-        for recording in recordings
-    ]
     seen: Counter[str] = Counter()
     unique = []
-    for recording, name in zip(recordings, names, strict=True):
+    for recording in recordings:
+        name = recording.name
+        if recording.source and again[name] > 1:
+            name = f"{recording.source.absolute().parent.name}/{name}"
         seen[name] += 1
         unique.append(replace(recording, name=name if seen[name] == 1 else f"{name}#{seen[name]}"))
     return unique

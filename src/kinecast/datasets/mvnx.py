@@ -1,38 +1,50 @@
-"""Xsens MVNX motion files, versions 3 and 4, parsed as a stream."""
+"""Xsens motion: MVNX files of versions 3 and 4, parsed as a stream, and their csv twins as ANDY has them."""
 
 from __future__ import annotations
 
+import re
 from array import array
+from collections.abc import Sequence
 from pathlib import Path
 from xml.parsers import expat
 
 import numpy as np
+from jaxtyping import Float
 
 from kinecast.body.skeleton import XSENS_23
-from kinecast.datasets.compressed import MOST_POINTS, base_name, chunks, head
-from kinecast.datasets.delimited import number
+from kinecast.datasets.files import MOST_POINTS, base_name, chunks, head, number, read_bytes, rows, split_lines
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
-
-__all__ = ["load", "matches", "sequence_name"]
 
 _NAMESPACE = "http://www.xsens.com/mvn/mvnx"
 _MOST_SEGMENTS = 200
 _LONGEST_POSITION = 40 * 3 * _MOST_SEGMENTS  # characters: 40 for a number is generous
+_CSV_RATE = 240.0  # ANDY's MVNX files say so; their csv twins have no rate
+_COLUMN = re.compile(r"position_(\w+)_([xyz])", re.IGNORECASE)
 
 
 def matches(path: Path) -> bool:
-    """Whether a file opens with an `mvnx` element."""
-    return path.is_file() and b"<mvnx" in head(path)
+    """Whether a file opens with an `mvnx` element, or its first line names a column like `position_<Segment>_x`."""
+    return path.is_file() and (_is_mvnx(path) or _is_csv(path))
+
+
+def _is_mvnx(path: Path) -> bool:
+    return b"<mvnx" in head(path)
+
+
+def _is_csv(path: Path) -> bool:
+    names = head(path, 1 << 16).partition(b"\n")[0].decode("utf-8", errors="replace").split(",")
+    return any(_COLUMN.fullmatch(name.strip()) for name in names)
 
 
 def load(path: Path) -> list[Recording]:
     """One trial: the segments of its normal frames, each at its proximal joint.
 
-    Time is the frame's index over the frame rate; the format's own whole milliseconds are too coarse.
+    Time is the frame's index over the frame rate; the format's own whole milliseconds are too coarse. A csv twin is
+    read at an assumed 240 Hz, from its columns `position_<Segment>_x`, `_y`, `_z` [m] in upper or lower case.
 
     Args:
-        path: an MVNX file, plain or compressed.
+        path: an MVNX file or its csv twin, plain or compressed.
 
     Returns:
         One recording of the segments known to Xsens 23, in file order.
@@ -40,15 +52,70 @@ def load(path: Path) -> list[Recording]:
     Raises:
         DatasetError: not XML, a document type or entity (refused), or not as Xsens writes it; names the line.
     """
-    document = _Document(path)
-    for piece in chunks(path):
-        document.feed(piece)
-    return [document.recording()]
+    return [_load_csv(path) if not _is_mvnx(path) and _is_csv(path) else _load_mvnx(path)]
 
 
 def sequence_name(path: Path) -> str:
     """Name of the trial: `Trial_2` for `Trial_2.xsens.mvnx.gz`."""
     return base_name(path).removesuffix(".xsens")
+
+
+def _recording(
+    path: Path, segments: Sequence[str], stamps: Float[np.ndarray, " N"], positions: Float[np.ndarray, "N S 3"],
+    rate: float, subject: str = "", notes: tuple[str, ...] = (),
+) -> Recording:  # fmt: skip
+    return Recording(
+        name=sequence_name(path),
+        joints=XSENS_23.canonical(segments, path),
+        stamps=stamps,
+        positions=positions,
+        rate=rate,
+        source=path,
+        format="mvnx",
+        subject=subject,
+        notes=notes,
+    )
+
+
+def _load_csv(path: Path) -> Recording:
+    (header,), data = split_lines(read_bytes(path), 1, path)
+    names = [name.strip() for name in header.split(",")]
+    segments: dict[str, dict[str, int]] = {}
+    for column, name in enumerate(names):
+        found = _COLUMN.fullmatch(name)
+        if found and XSENS_23.find(found[1]):
+            segments.setdefault(found[1], {})[found[2].lower()] = column
+    for segment, axes in segments.items():
+        if len(axes) < 3:
+            problem = f"segment {segment} has columns for {', '.join(axes)}, expected x, y, z"
+            raise DatasetError(f"{path}, line 1", problem)
+    table = rows(data, len(names), path, first_line=2, use=[axes[axis] for axes in segments.values() for axis in "xyz"])
+    positions = table.reshape(len(table), len(segments), 3)
+    notes = ("rate not stated by the format; 240 Hz assumed",)
+    return _recording(path, list(segments), np.arange(len(table)) / _CSV_RATE, positions, _CSV_RATE, notes=notes)
+
+
+def _load_mvnx(path: Path) -> Recording:
+    document = _Document(path)
+    for piece in chunks(path):
+        document.feed(piece)
+    document.feed(b"", last=True)
+    if not document.indices:
+        raise DatasetError(path, "no frame of type normal with positions")
+    segments = document.segments
+    stamps = (np.array(document.indices) - document.indices[0]) / document.rate
+    positions = np.array(document.positions).reshape(len(stamps), len(segments), 3)
+    known = [place for place, name in enumerate(segments) if XSENS_23.find(name)]
+    others = [name for name in segments if not XSENS_23.find(name)]
+    return _recording(
+        path,
+        [segments[place] for place in known],
+        stamps,
+        positions[:, known],
+        document.rate,
+        document.subject,
+        (f"segments left out: {', '.join(others)}",) if others else (),
+    )
 
 
 class _Document:
@@ -79,32 +146,17 @@ class _Document:
         except expat.ExpatError as error:
             raise DatasetError(f"{self.path}, line {error.lineno}", f"broken XML: {error}") from error
 
-    def recording(self) -> Recording:
-        self.feed(b"", last=True)
-        if not self.indices:
-            raise DatasetError(self.path, "no frame of type normal with positions")
-        stamps = (np.array(self.indices) - self.indices[0]) / self.rate
-        positions = np.array(self.positions).reshape(len(stamps), len(self.segments), 3)
-        known = [place for place, name in enumerate(self.segments) if XSENS_23.find(name)]
-        others = [name for name in self.segments if not XSENS_23.find(name)]
-        return Recording(
-            name=sequence_name(self.path),
-            joints=XSENS_23.canonical((self.segments[place] for place in known), self.path),
-            stamps=stamps,
-            positions=positions[:, known],
-            rate=self.rate,
-            source=self.path,
-            format="mvnx",
-            subject=self.subject,
-            notes=(f"segments left out: {', '.join(others)}",) if others else (),
-        )
-
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         namespace, _, name = tag.rpartition(" ")
         if name == "mvnx" and namespace != _NAMESPACE:
             raise DatasetError(self._where, f"namespace is {namespace[:60]!r}, expected {_NAMESPACE!r}")
         if name == "subject":
-            self._start_subject(attributes)
+            if self.rate:
+                raise DatasetError(self._where, "a second subject; expected one in a file")
+            self.subject = attributes.get("label", "")
+            self.rate = number(attributes.get("frameRate", ""), self._where, "frameRate")
+            if self.rate <= 0:
+                raise DatasetError(self._where, f"frameRate is {self.rate}, expected more than 0")
         elif name == "segment":
             self.segments.append(attributes.get("label", ""))
             if len(self.segments) > _MOST_SEGMENTS:
@@ -118,14 +170,6 @@ class _Document:
         elif name == "position" and self._in_frame:
             self._text = []
             self._parser.CharacterDataHandler = self._characters
-
-    def _start_subject(self, attributes: dict[str, str]) -> None:
-        if self.rate:
-            raise DatasetError(self._where, "a second subject; expected one in a file")
-        self.subject = attributes.get("label", "")
-        self.rate = number(attributes.get("frameRate", ""), self._where, "frameRate")
-        if self.rate <= 0:
-            raise DatasetError(self._where, f"frameRate is {self.rate}, expected more than 0")
 
     def _characters(self, text: str) -> None:
         if self._text is None or sum(map(len, self._text)) + len(text) > _LONGEST_POSITION:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,8 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from kinecast.errors import DatasetError
-
-__all__ = ["Recording"]
 
 
 @dataclass(frozen=True)
@@ -82,3 +81,104 @@ class Recording:
         """The same recording, a range of its frames."""
         labels = None if self.labels is None else self.labels[frames]
         return replace(self, stamps=self.stamps[frames], positions=self.positions[frames], labels=labels)
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a recording is beside its frames, as a file's metadata holds it.
+
+    Raises:
+        TypeError: an entry of another type.
+    """
+
+    name: str
+    person: str
+    joints: list[str]
+    rate: float
+    source: str | None
+    format: str
+    subject: str
+    task: str
+    notes: list[str]
+    labelled: bool | None = None  # None where files do not say
+
+    def __post_init__(self) -> None:
+        words = [self.name, self.person, self.format, self.subject, self.task, *self.joints, *self.notes]
+        if not all(isinstance(word, str) for word in words) or not isinstance(self.source, str | None):
+            raise TypeError(f"a name in {self} is no text")
+        if not isinstance(self.rate, float | int) or not isinstance(self.labelled, bool | None):
+            raise TypeError(f"rate {self.rate!r} is no number, or labelled {self.labelled!r} not true or false")
+
+
+def describe(recording: Recording) -> Description:
+    """What a recording is beside its frames."""
+    return Description(
+        name=recording.name,
+        person=recording.person,
+        joints=list(recording.joints),
+        rate=recording.rate,
+        source=None if recording.source is None else str(recording.source),
+        format=recording.format,
+        subject=recording.subject,
+        task=recording.task,
+        notes=list(recording.notes),
+        labelled=recording.labels is not None,
+    )
+
+
+def differences(before: Sequence[Recording], after: Sequence[Recording]) -> list[str]:
+    """What is not the same in recordings of different persons and those read back, in words; none if every bit is."""
+    found: dict[str, None] = {}
+    back = {recording.person: recording for recording in after}
+    for recording in before:
+        if recording.person not in back:
+            found[f"person {recording.person}"] = None
+            continue
+        for line in _between(recording, back.pop(recording.person)):
+            found[f"{line} (person {recording.person})" if len(before) > 1 else line] = None
+    found |= dict.fromkeys(f"nothing, but person {person} is new" for person in back)
+    return list(found)
+
+
+def _between(a: Recording, b: Recording) -> list[str]:
+    """What is not the same in two recordings of a person."""
+    lines = []
+    for name in ("name", "format", "subject", "task", "labels"):
+        one, other = getattr(a, name), getattr(b, name)
+        if one != other:
+            lines.append(f"{name}: {_short(one)} became {_short(other)}")
+    if a.source is not None and a.source != b.source:
+        lines.append(f"source: {_short(a.source)} became {_short(b.source)}")
+    lines.extend(f"note: {note}" for note in a.notes if note not in b.notes)
+    if a.rate != b.rate:
+        lines.append(f"rate: {a.rate!r} Hz became {b.rate!r} Hz")
+    missing = [joint for joint in a.joints if joint not in b.joints]
+    if missing:
+        lines.append(f"joints: {', '.join(missing)}")
+    elif a.joints != b.joints:
+        lines.append("order of the joints")
+    if len(a.stamps) != len(b.stamps):
+        return [*lines, f"frames: {len(a.stamps)} became {len(b.stamps)}"]
+    if (a.stamps != b.stamps).any():
+        lines.append(f"stamps: moved by up to {np.abs(a.stamps - b.stamps).max():.3g} s")
+    for joint in (joint for joint in a.joints if joint in b.joints):
+        one, other = a.joint(joint), b.joint(joint)
+        if (np.isnan(one) != np.isnan(other)).any():
+            lines.append(
+                f"{joint}: seen in {np.isfinite(one).sum() // 3} frames became {np.isfinite(other).sum() // 3}"
+            )
+        away = np.nanmax(np.abs(one - other), initial=0.0)
+        if away > 0:
+            lines.append(f"{joint}: moved by up to {1e3 * away:.3g} mm")
+    return lines
+
+
+def _short(value: object) -> str:
+    """A value in a line."""
+    if isinstance(value, Path):
+        value = value.name
+    if value in (None, "", ()):
+        return "nothing"
+    if isinstance(value, tuple):
+        return f"{len(value)} of them" if len(value) > 3 else ", ".join(map(str, value))
+    return str(value)

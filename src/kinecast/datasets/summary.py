@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
@@ -15,10 +15,8 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.body.torso_frame import torso_frame
 from kinecast.body.tracking import Flaw
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.repair import RepairOptions, RepairReport, repair, spans
+from kinecast.datasets.repair import RepairReport, repair
 from kinecast.datasets.resampling import measured_rate
-
-__all__ = ["Bone", "JointQuality", "Speed", "Summary", "summarise"]
 
 BONES = {
     "left_upper_arm": ("left_shoulder", "left_elbow"),
@@ -33,67 +31,27 @@ SPEED_JOINTS = tuple(joint for joint in ARM_JOINTS if "shoulder" not in joint)
 
 
 @dataclass(frozen=True)
-class JointQuality:
-    """How well one joint is tracked.
-
-    Attributes:
-        missing: share of frames without it.
-        gaps: how often it is lost.
-        longest_gap: [s].
-        jumps: how often it is thrown aside and comes back.
-        interpolated: frames a repair would interpolate, repeats included.
-        left_missing: frames that stay without it after a repair.
-    """
-
-    missing: float
-    gaps: int
-    longest_gap: float
-    jumps: int
-    interpolated: int
-    left_missing: int
-
-
-@dataclass(frozen=True)
-class Bone:
-    """Length of a bone [m]: median, and half the 5-95 % range as a share of it. NaN where never seen."""
-
-    median: float
-    variation: float
-
-
-@dataclass(frozen=True)
-class Speed:
-    """Speed of a joint [m/s] over one frame, repeats and jumps left out: median, 99th percentile, largest."""
-
-    p50: float
-    p99: float
-    max: float
-
-
-@dataclass(frozen=True)
 class Summary:
     """What a recording holds.
 
     Attributes:
-        name: of the recording.
-        source: file or folder, "" for generated ones.
-        format: name of the format.
-        person, subject, task: as in the recording.
+        name, source, format, person, subject, task, rate, notes: as in the recording; source "" for generated ones.
         frames: how many.
         duration: [s].
-        rate: nominal, frames per second [Hz].
         measured_rate: one over the median step of the stamps [Hz].
         longest_step: longest time between two frames [s].
         joint_names: every joint tracked.
         labels: frames per label, most frequent first.
         repeated_frames: copies of the frame before.
-        joints: per joint.
-        bones: per bone of both arms, and the shoulder width.
-        speeds: of elbows and wrists.
+        joints: per joint `missing` (share of frames without it), `gaps` (how often it is lost), `longest_gap` [s],
+            `jumps` (how often it is thrown aside and comes back), and the frames that a repair would have
+            `interpolated`, repeats included, and `left_missing`.
+        bones: per bone of both arms, and the shoulder width: `median` length [m], and `variation`, half the 5-95 %
+            range as a share of it; NaN where never seen.
+        speeds: of elbows and wrists over one frame, repeats and jumps left out: `p50`, `p99`, `max` [m/s].
         outside_range: share of frames, after a repair, with an arm angle outside `JointLimits`; NaN where the
             arms are never seen.
         too_fast: share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow.
-        notes: as in the recording.
     """
 
     name: str
@@ -110,9 +68,9 @@ class Summary:
     joint_names: tuple[str, ...]
     labels: Mapping[str, int]
     repeated_frames: int
-    joints: Mapping[str, JointQuality]
-    bones: Mapping[str, Bone]
-    speeds: Mapping[str, Speed]
+    joints: Mapping[str, Mapping[str, float]]
+    bones: Mapping[str, Mapping[str, float]]
+    speeds: Mapping[str, Mapping[str, float]]
     outside_range: float
     too_fast: float
     notes: tuple[str, ...]
@@ -134,22 +92,23 @@ class Summary:
             lines.append("  labels: " + ", ".join(f"{label} ({count})" for label, count in self.labels.items()))
         lines.append(f"  repeated frames: {self.repeated_frames} ({self.repeated_frames / self.frames:.1%})")
         for name, joint in self.joints.items():
-            if joint.gaps:
-                gaps = f"gaps: {joint.gaps}, longest {joint.longest_gap:.2f} s"
-                lines.append(f"  {name}: missing in {joint.missing:.1%} of frames ({gaps})")
-        jumps = [f"{name} ({joint.jumps})" for name, joint in self.joints.items() if joint.jumps]
+            if joint["gaps"]:
+                gaps = f"gaps: {joint['gaps']}, longest {joint['longest_gap']:.2f} s"
+                lines.append(f"  {name}: missing in {joint['missing']:.1%} of frames ({gaps})")
+        jumps = [f"{name} ({joint['jumps']})" for name, joint in self.joints.items() if joint["jumps"]]
         if jumps:
             lines.append("  jumps: " + ", ".join(jumps))
         for name, bone in self.bones.items():
-            lines.append(f"  {name}: {1e3 * bone.median:.0f} mm ± {bone.variation:.1%}")
+            lines.append(f"  {name}: {1e3 * bone['median']:.0f} mm ± {bone['variation']:.1%}")
         for name, speed in self.speeds.items():
-            lines.append(f"  {name} speed: median {speed.p50:.2f}, 99 % {speed.p99:.2f}, largest {speed.max:.2f} m/s")
+            p50, p99, fastest = speed.values()
+            lines.append(f"  {name} speed: median {p50:.2f}, 99 % {p99:.2f}, largest {fastest:.2f} m/s")
         lines.append(
             f"  after repair {self.outside_range:.1%} of frames are outside the joints' range, "
             f"{self.too_fast:.1%} above their speed"
         )
-        interpolated = sum(joint.interpolated for joint in self.joints.values())
-        left = sum(joint.left_missing for joint in self.joints.values())
+        interpolated = sum(joint["interpolated"] for joint in self.joints.values())
+        left = sum(joint["left_missing"] for joint in self.joints.values())
         values = self.frames * len(self.joints)
         lines.append(
             f"  repair would interpolate {interpolated} of {values} positions ({interpolated / values:.1%}) "
@@ -159,15 +118,9 @@ class Summary:
         return lines
 
 
-def summarise(recording: Recording, options: RepairOptions | None = None) -> Summary:
-    """What a recording holds, and what a repair would do to it.
-
-    Args:
-        recording: as loaded, at least one frame.
-        options: of the repair.
-    """
-    repaired, report = repair(recording, options)
-    steps = np.diff(recording.stamps)
+def summarise(recording: Recording) -> Summary:
+    """Everything about a recording that a summary holds."""
+    repaired, report = repair(recording)
     outside_range, too_fast = _outside_limits(repaired)
     return Summary(
         name=recording.name,
@@ -180,11 +133,11 @@ def summarise(recording: Recording, options: RepairOptions | None = None) -> Sum
         duration=recording.duration,
         rate=recording.rate,
         measured_rate=measured_rate(recording.stamps),
-        longest_step=float(steps.max(initial=0.0)),
+        longest_step=float(np.diff(recording.stamps).max(initial=0.0)),
         joint_names=recording.joints,
         labels=dict(Counter(recording.labels or ()).most_common()),
-        repeated_frames=report.repeated_frames,
-        joints={name: _joint(recording, report, name) for name in recording.joints},
+        repeated_frames=int(np.count_nonzero((report.flaws == Flaw.REPEATED).any(axis=1))),
+        joints={name: _joint(recording, report, column) for column, name in enumerate(recording.joints)},
         bones={name: _bone(recording.joint(a) - recording.joint(b)) for name, (a, b) in BONES.items()},
         speeds={name: _speed(recording, report, name) for name in SPEED_JOINTS if name in recording.joints},
         outside_range=outside_range,
@@ -193,40 +146,40 @@ def summarise(recording: Recording, options: RepairOptions | None = None) -> Sum
     )
 
 
-def _joint(recording: Recording, report: RepairReport, name: str) -> JointQuality:
-    column = recording.joints.index(name)
-    flaws, counts = report.flaws[:, column], report.joint(name)
-    gaps = spans(flaws == Flaw.MISSING)
-    frame = 1.0 / recording.rate
-    return JointQuality(
-        missing=counts.missing / max(len(flaws), 1),
-        gaps=len(gaps),
-        longest_gap=max(
-            (float(recording.stamps[start + length - 1] - recording.stamps[start]) + frame for start, length in gaps),
-            default=0.0,
-        ),
-        jumps=len(spans(flaws == Flaw.JUMP)),
-        interpolated=counts.interpolated,
-        left_missing=counts.left_missing,
-    )
+def _joint(recording: Recording, report: RepairReport, column: int) -> dict[str, float]:
+    flaws, interpolated = report.flaws[:, column], report.interpolated[:, column]
+    gaps = _spans(flaws == Flaw.MISSING)
+    lengths = [float(recording.stamps[last] - recording.stamps[first]) + 1.0 / recording.rate for first, last in gaps]
+    return {
+        "missing": int(np.count_nonzero(flaws == Flaw.MISSING)) / max(len(flaws), 1),
+        "gaps": len(gaps),
+        "longest_gap": max(lengths, default=0.0),
+        "jumps": len(_spans(flaws == Flaw.JUMP)),
+        "interpolated": int(np.count_nonzero(interpolated)),
+        "left_missing": int(np.count_nonzero((flaws >= Flaw.MISSING) & ~interpolated)),
+    }
 
 
-def _bone(offsets: Float[np.ndarray, "N 3"]) -> Bone:
+def _spans(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
+    """Runs of True as (first, last index)."""
+    edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return list(zip(starts.tolist(), (ends - 1).tolist(), strict=True))
+
+
+def _bone(offsets: Float[np.ndarray, "N 3"]) -> dict[str, float]:
     lengths = np.linalg.norm(offsets, axis=-1)
     lengths = lengths[np.isfinite(lengths)]
-    if not len(lengths):
-        return Bone(np.nan, np.nan)
-    low, median, high = np.percentile(lengths, [5, 50, 95])
-    return Bone(float(median), float(0.5 * (high - low) / median) if median > 0 else np.nan)
+    low, median, high = np.percentile(lengths, [5, 50, 95]).tolist() if len(lengths) else (np.nan,) * 3
+    return {"median": median, "variation": 0.5 * (high - low) / median if median > 0 else np.nan}
 
 
-def _speed(recording: Recording, report: RepairReport, name: str) -> Speed:
+def _speed(recording: Recording, report: RepairReport, name: str) -> dict[str, float]:
     sound = report.flaws[:, recording.joints.index(name)] == Flaw.NONE
     steps = np.linalg.norm(np.diff(recording.joint(name), axis=0), axis=-1) / np.diff(recording.stamps)
     steps = steps[sound[1:] & sound[:-1]]
-    if not len(steps):
-        return Speed(np.nan, np.nan, np.nan)
-    return Speed(*(float(value) for value in np.percentile(steps, [50, 99, 100])))
+    speeds = np.percentile(steps, [50, 99, 100]).tolist() if len(steps) else (np.nan,) * 3
+    return dict(zip(("p50", "p99", "max"), speeds, strict=True))
 
 
 def _outside_limits(recording: Recording) -> tuple[float, float]:
@@ -248,6 +201,6 @@ def _outside_limits(recording: Recording) -> tuple[float, float]:
 def _plain(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, tuple | list):
+    if isinstance(value, tuple):
         return [_plain(each) for each in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

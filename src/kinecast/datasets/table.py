@@ -1,27 +1,91 @@
-"""Recordings in the project's own exchange format: a table of (stamp, person, joint), lossless both ways."""
+"""The project's own exchange format: rows of (stamp, person, joint) as parquet or csv, lossless both ways."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import csv
+import io
+import json
+import os
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from io import BufferedWriter
+from operator import itemgetter
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from kinecast.datasets.compressed import MOST_POINTS, base_name
-from kinecast.datasets.recording import Recording
-from kinecast.datasets.table_file import Rows, Words, is_table, read_rows, write_rows
-from kinecast.errors import DatasetError
-
-__all__ = ["Description", "describe", "load", "matches", "write"]
+from kinecast.datasets.files import BYTE_ORDER_MARK, MOST_POINTS, base_name, head, numbers, read_bytes
+from kinecast.datasets.recording import Description, Recording, describe
+from kinecast.errors import DatasetError, OptionError
 
 _WORLD = "z up, right-handed, metres, seconds"
+_CSV_METADATA = b"# kinecast "
+_PARQUET_MAGIC = b"PAR1"
+_POSITION = ("x", "y", "z")
+_COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
+_REQUIRED = ("stamp", "person", "joint", *_POSITION)
+WORDS = ("person", "joint", "label")
+NUMBERS = ("stamp", *_POSITION, *_COVARIANCE, "made")
+_CHUNK = 1 << 16  # rows written at a time
+
+
+@dataclass(frozen=True)
+class Words:
+    """A column of words, most of them repeated.
+
+    Attributes:
+        names: the different words.
+        codes: (R,) place in `names` of each row's word; −1 where it is missing. csv knows no empty words, only missing.
+    """
+
+    names: tuple[str, ...]
+    codes: Int[np.ndarray, " R"]
+
+    @classmethod
+    def of(cls, words: Iterable[str | None]) -> Words:
+        """The column of these words; None is missing."""
+        places: dict[str, int] = {}
+        codes = [-1 if word is None else places.setdefault(word, len(places)) for word in words]
+        return cls(tuple(places), np.array(codes, dtype=np.int32))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a table holds, one row for each (stamp, person, joint).
+
+    Attributes:
+        stamp: (R,) [s].
+        person: (R,) person ids.
+        joint: (R,) joint names.
+        position: (R, 3) [m], z up; NaN where missing.
+        covariance: (R, 6) xx, xy, xz, yy, yz, zz of the position [m²], or None.
+        label: (R,) what the person is doing, or None.
+        made: (R,) when a predicted row was predicted [s], or None for measured rows.
+        metadata: rate, world frame, source and what else belongs to the whole; JSON values.
+    """
+
+    stamp: Float[np.ndarray, " R"]
+    person: Words
+    joint: Words
+    position: Float[np.ndarray, "R 3"]
+    covariance: Float[np.ndarray, "R 6"] | None = None
+    label: Words | None = None
+    made: Float[np.ndarray, " R"] | None = None
+    metadata: dict[str, Any] | None = None
 
 
 def matches(path: Path) -> bool:
-    """Whether a file is a table: parquet, or csv with its column names."""
-    return path.is_file() and is_table(path)
+    """Whether a file is parquet, or csv with the table's metadata or column names."""
+    if not path.is_file():
+        return False
+    start = head(path)
+    columns = {name.strip().strip(b'"') for name in start.partition(b"\n")[0].split(b",")}
+    return start.startswith((_PARQUET_MAGIC, _CSV_METADATA)) or {name.encode() for name in _REQUIRED} <= columns
 
 
 def write(path: Path, recordings: Sequence[Recording]) -> None:
@@ -33,25 +97,31 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 
     Raises:
         OptionError: the path has another ending.
+        MissingExtraError: parquet without the extra.
         DatasetError: two recordings are of one person, there is none, or the file cannot be written.
     """
     persons = [recording.person for recording in recordings]
     if not recordings or len(set(persons)) < len(persons):
         raise DatasetError(path, f"persons {persons}: a table holds one recording of each person, and at least one")
-    blocks = [_block(recording) for recording in recordings]
+    joints = tuple(dict.fromkeys(joint for recording in recordings for joint in recording.joints))
+    width = np.concatenate([np.full(len(recording.stamps), len(recording.joints)) for recording in recordings])
+    frames = [len(recording.stamps) for recording in recordings]
+    codes = [np.tile([joints.index(joint) for joint in each.joints], len(each.stamps)) for each in recordings]
+    labels = Words.of(
+        label
+        for each in recordings
+        for label in (each.labels if each.labels is not None else [None] * len(each.stamps))
+    )
     labelled = any(recording.labels is not None for recording in recordings)
     write_rows(
         path,
         Rows(
-            stamp=np.concatenate([block.stamp for block in blocks]),
-            person=_joined(block.person for block in blocks),
-            joint=_joined(block.joint for block in blocks),
-            position=np.concatenate([block.position for block in blocks]),
-            label=_joined(block.label for block in blocks if block.label is not None) if labelled else None,
-            metadata={
-                "world": _WORLD,
-                "recordings": [asdict(describe(recording)) for recording in recordings],
-            },
+            stamp=np.repeat(np.concatenate([recording.stamps for recording in recordings]), width),
+            person=Words(tuple(persons), np.repeat(np.repeat(np.arange(len(persons)), frames), width)),
+            joint=Words(joints, np.concatenate(codes)),
+            position=np.concatenate([recording.positions.reshape(-1, 3) for recording in recordings]),
+            label=Words(labels.names, np.repeat(labels.codes, width)) if labelled else None,
+            metadata={"world": _WORLD, "recordings": [asdict(describe(recording)) for recording in recordings]},
         ),
     )
 
@@ -68,62 +138,32 @@ def load(path: Path) -> list[Recording]:
         Recordings in the order they were written, else of first appearance.
 
     Raises:
+        MissingExtraError: parquet without the extra.
         DatasetError: the file is no table; or a row repeats, lacks its stamp, person or joint, or is of a
             person or joint the metadata does not name.
     """
     rows = read_rows(path)
-    _require_complete(rows, path)
     if rows.metadata is None or "recordings" not in rows.metadata:
+        _require_complete(rows, path)
         return [_recording(rows, _inferred(rows, person, path), path) for person in rows.person.names]
     try:
         described = [Description(**each) for each in rows.metadata["recordings"]]
     except TypeError as error:
         raise DatasetError(path, f"metadata is damaged: {error}") from error
-    unknown = set(rows.person.names) - {description.person for description in described}
-    if unknown:
+    persons = {description.person for description in described}
+    _require_complete(rows, path, nameless="" in persons)
+    if unknown := set(rows.person.names) - persons:
         raise DatasetError(path, f"person {min(unknown)!r} is not in the metadata")
     return [_recording(rows, description, path) for description in described]
 
 
-@dataclass(frozen=True)
-class Description:
-    """What a recording is beside its frames, as a file's metadata holds it.
-
-    Raises:
-        TypeError: an entry of another type.
-    """
-
-    name: str
-    person: str
-    joints: list[str]
-    rate: float
-    source: str | None
-    format: str
-    subject: str
-    task: str
-    notes: list[str]
-
-    def __post_init__(self) -> None:
-        words = [self.name, self.person, self.format, self.subject, self.task, *self.joints, *self.notes]
-        if not all(isinstance(word, str) for word in words) or not isinstance(self.source, str | None):
-            raise TypeError(f"a name in {self} is no text")
-        if not isinstance(self.rate, float | int):
-            raise TypeError(f"rate {self.rate!r} is no number")
-
-
-def describe(recording: Recording) -> Description:
-    """What a recording is beside its frames."""
-    return Description(
-        name=recording.name,
-        person=recording.person,
-        joints=list(recording.joints),
-        rate=recording.rate,
-        source=None if recording.source is None else str(recording.source),
-        format=recording.format,
-        subject=recording.subject,
-        task=recording.task,
-        notes=list(recording.notes),
-    )
+def _require_complete(rows: Rows, path: Path, nameless: bool = False) -> None:
+    incomplete = {"stamp": ~np.isfinite(rows.stamp), "joint": rows.joint.codes < 0}
+    if not nameless:
+        incomplete["person"] = rows.person.codes < 0
+    for column, missing in incomplete.items():
+        if missing.any():
+            raise DatasetError(f"{path}, row {int(np.argmax(missing)) + 1}", f"no {column}")
 
 
 def _inferred(rows: Rows, person: str, path: Path) -> Description:
@@ -133,9 +173,8 @@ def _inferred(rows: Rows, person: str, path: Path) -> Description:
     if len(stamps) < 2:
         raise DatasetError(path, f"{len(stamps)} frame of person {person!r}; at least 2 are needed to tell the rate")
     rate = float(1.0 / np.median(np.diff(stamps)))
-    alone = len(rows.person.names) == 1
     return Description(
-        name=base_name(path) if alone else f"{base_name(path)}/{person}",
+        name=base_name(path) if len(rows.person.names) == 1 else f"{base_name(path)}/{person}",
         person=person,
         joints=[rows.joint.names[code] for code in dict.fromkeys(rows.joint.codes[mine].tolist())],
         rate=rate,
@@ -147,27 +186,14 @@ def _inferred(rows: Rows, person: str, path: Path) -> Description:
     )
 
 
-def _require_complete(rows: Rows, path: Path) -> None:
-    incomplete = {
-        "stamp": ~np.isfinite(rows.stamp),
-        "person": rows.person.codes < 0,
-        "joint": rows.joint.codes < 0,
-    }
-    for column, missing in incomplete.items():
-        if missing.any():
-            raise DatasetError(f"{path}, row {int(np.argmax(missing)) + 1}", f"no {column}")
-
-
 def _recording(rows: Rows, description: Description, path: Path) -> Recording:
     """One person's rows as a recording; (stamp, joint) pairs without a row are NaN."""
     person = rows.person.names.index(description.person) if description.person in rows.person.names else -1
     mine = np.flatnonzero(rows.person.codes == person)
     stamps, frame = np.unique(rows.stamp[mine], return_inverse=True)
-    if len(stamps) * len(description.joints) > MOST_POINTS:
-        raise DatasetError(
-            path, f"{len(stamps)} frames of {len(description.joints)} joints, at most {MOST_POINTS} positions"
-        )
     places = {joint: place for place, joint in enumerate(description.joints)}
+    if len(stamps) * len(places) > MOST_POINTS:
+        raise DatasetError(path, f"{len(stamps)} frames of {len(places)} joints, at most {MOST_POINTS} positions")
     joint = np.array([places.get(name, -1) for name in rows.joint.names], dtype=np.intp)[rows.joint.codes[mine]]
     if (joint < 0).any():
         row = mine[np.argmax(joint < 0)]
@@ -191,45 +217,176 @@ def _recording(rows: Rows, description: Description, path: Path) -> Recording:
         person=description.person,
         subject=description.subject,
         task=description.task,
-        labels=_labels(rows, mine, frame, len(stamps), path),
+        labels=_labels(rows, mine, frame, description.labelled, path),
         notes=tuple(description.notes),
     )
 
 
 def _labels(
-    rows: Rows, mine: Int[np.ndarray, " R"], frame: Int[np.ndarray, " R"], frames: int, path: Path
+    rows: Rows, mine: Int[np.ndarray, " R"], frame: Int[np.ndarray, " R"], labelled: bool | None, path: Path
 ) -> tuple[str, ...] | None:
-    """One label a frame, or None where no row has one."""
-    if rows.label is None or (rows.label.codes[mine] < 0).all():
+    """One label a frame, or None where there are none."""
+    if rows.label is None or labelled is False:
         return None
-    codes = np.full(frames, -1)
-    codes[frame] = rows.label.codes[mine]
-    differs = codes[frame] != rows.label.codes[mine]
+    given = rows.label.codes[mine]
+    if labelled is None and (given < 0).all():
+        return None
+    codes = np.full(frame.max(initial=-1) + 1, -1)
+    codes[frame] = given
+    differs = codes[frame] != given
     if differs.any():
         raise DatasetError(f"{path}, row {mine[np.argmax(differs)] + 1}", "another label than other rows of its stamp")
     return tuple(rows.label.names[code] if code >= 0 else "" for code in codes)
 
 
-def _block(recording: Recording) -> Rows:
-    """A recording's rows: frame by frame, joint by joint."""
-    frames, joints = recording.positions.shape[:2]
-    label = None if recording.labels is None else Words.of(recording.labels)
+def write_rows(path: Path, rows: Rows) -> None:
+    """Write a table; the file appears whole or not at all.
+
+    Args:
+        path: ends in `.parquet` or `.csv`.
+        rows: what to write.
+
+    Raises:
+        OptionError: the path has another ending.
+        MissingExtraError: parquet without the extra.
+        DatasetError: the file cannot be written.
+    """
+    columns: dict[str, Any] = {"stamp": rows.stamp, "person": rows.person, "joint": rows.joint}
+    columns |= dict(zip(_POSITION, rows.position.T, strict=True))
+    if rows.covariance is not None:
+        columns |= dict(zip(_COVARIANCE, rows.covariance.T, strict=True))
+    more = {"label": rows.label, "made": rows.made}
+    columns |= {name: column for name, column in more.items() if column is not None}
+    metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
+    if path.suffix not in (".parquet", ".csv"):
+        raise OptionError(f"a table is written as .parquet or .csv, not {path.name!r}")
+    write_columns = _write_csv if path.suffix == ".csv" else _parquet().write
+    with _whole(path) as file:
+        write_columns(file, columns, metadata)
+
+
+def require_extra(path: Path) -> None:
+    """MissingExtraError where a table of this name cannot be written or read because the extra is missing."""
+    if path.suffix == ".parquet":
+        _parquet()
+
+
+def _parquet() -> ModuleType:
+    """The module that needs the extra."""
+    from kinecast.datasets import parquet
+
+    return parquet
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[BufferedWriter]:
+    """A new file beside `path` that takes its place when all is written, and goes when it is not."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with partial.open("wb") as file:
+            yield file
+        partial.replace(path)
+    except OSError as error:
+        raise DatasetError(path, f"cannot be written: {error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_rows(path: Path) -> Rows:
+    """Read a table.
+
+    Raises:
+        MissingExtraError: parquet without the extra.
+        DatasetError: the file is no table, lacks a column, holds another type in one, or has too many rows.
+    """
+    is_parquet = head(path).startswith(_PARQUET_MAGIC)
+    columns, metadata = _parquet().read(path) if is_parquet else _read_csv(path)
+    covariance = [columns[name] for name in _COVARIANCE if name in columns]
     return Rows(
-        stamp=np.repeat(recording.stamps, joints),
-        person=Words((recording.person,), np.zeros(frames * joints, dtype=np.int32)),
-        joint=Words(recording.joints, np.tile(np.arange(joints, dtype=np.int32), frames)),
-        position=recording.positions.reshape(-1, 3),
-        label=Words((), np.full(frames * joints, -1, dtype=np.int32))
-        if label is None
-        else Words(label.names, np.repeat(label.codes, joints)),
+        stamp=columns["stamp"],
+        person=columns["person"],
+        joint=columns["joint"],
+        position=np.stack([columns[name] for name in _POSITION], axis=-1),
+        covariance=np.stack(covariance, axis=-1) if len(covariance) == len(_COVARIANCE) else None,
+        label=columns.get("label"),
+        made=columns.get("made"),
+        metadata=None if metadata is None else _metadata(metadata, path),
     )
 
 
-def _joined(columns: Iterable[Words]) -> Words:
-    """Columns of words below one another."""
-    places: dict[str, int] = {}
-    codes = []
-    for column in columns:
-        new = [places.setdefault(name, len(places)) for name in column.names]
-        codes.append(np.array([*new, -1], dtype=np.int32)[column.codes])  # code -1 finds the last: missing
-    return Words(tuple(places), np.concatenate(codes))
+def _metadata(text: bytes, path: Path) -> dict[str, Any]:
+    try:
+        metadata = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(path, f"metadata is not JSON: {error}") from error
+    if not isinstance(metadata, dict):
+        raise DatasetError(path, "metadata is not a JSON object")
+    return metadata
+
+
+def require_columns(names: Sequence[str], path: Path) -> None:
+    """Check that each column is there, and once."""
+    missing = [name for name in _REQUIRED if name not in names]
+    if missing:
+        raise DatasetError(path, f"no column {', '.join(missing)}; a table has {', '.join(_REQUIRED)}")
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise DatasetError(path, f"two columns {min(repeated)!r}")
+
+
+def require_few(rows: int, path: Path) -> None:
+    if rows > MOST_POINTS:
+        raise DatasetError(path, f"{rows} rows, at most {MOST_POINTS} are allowed")
+
+
+def _write_csv(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes) -> None:
+    """Every word in quotes, a missing one without; every number in as many digits as it needs."""
+    file.write(_CSV_METADATA + metadata + b"\n" + ",".join(columns).encode() + b"\n")
+    quoted = {
+        name: np.array([*('"' + word.replace('"', '""') + '"' for word in column.names), ""], dtype=object)
+        for name, column in columns.items()
+        if isinstance(column, Words)
+    }  # code -1 finds the last: missing
+    for start in range(0, len(columns["stamp"]), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        cells = [
+            quoted[name][column.codes[part]] if name in quoted else map(repr, column[part].tolist())
+            for name, column in columns.items()
+        ]
+        file.write("".join(",".join(row) + "\n" for row in zip(*cells, strict=True)).encode())
+
+
+def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
+    """The known columns by name, and the metadata."""
+    text = read_bytes(path).removeprefix(BYTE_ORDER_MARK)
+    metadata = None
+    if text.startswith(_CSV_METADATA):
+        line, _, text = text.partition(b"\n")
+        metadata = line.removeprefix(_CSV_METADATA)
+    before = 1 if metadata is not None else 0
+    reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", newline=""), strict=True)
+    try:
+        names = next(reader, [])
+        require_columns(names, path)
+        number_names = [name for name in NUMBERS if name in names]
+        number_cells = itemgetter(*map(names.index, number_names))
+        what = [f"damaged table: {name}" for name in number_names]
+        values = array("d")
+        words = {name: (names.index(name), dict[str, int](), array("i")) for name in WORDS if name in names}
+        rows = 0
+        for row in reader:
+            if not row:
+                continue
+            if len(row) != len(names):
+                problem = f"damaged table: Expected {len(names)} columns, got {len(row)}"
+                raise DatasetError(f"{path}, line {reader.line_num + before}", problem)
+            values.extend(numbers(number_cells(row), what, path, reader.line_num + before, infinite=True))
+            for place, known, codes in words.values():
+                codes.append(known.setdefault(row[place], len(known)) if row[place] else -1)
+            rows += 1
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}, line {reader.line_num + before}", f"damaged table: {error}") from error
+    require_few(rows, path)
+    columns: dict[str, Any] = dict(zip(number_names, np.array(values).reshape(rows, len(number_names)).T, strict=True))
+    columns |= {name: Words(tuple(known), np.array(codes, np.int32)) for name, (_, known, codes) in words.items()}
+    return columns, metadata

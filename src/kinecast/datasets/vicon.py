@@ -9,12 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import VICON
-from kinecast.datasets.compressed import base_name, head, read_bytes
-from kinecast.datasets.delimited import number, rows, split_lines
+from kinecast.datasets.files import base_name, head, number, read_bytes, rows, split_lines
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
-
-__all__ = ["load", "matches"]
 
 _FIRST_DATA_LINE = 6
 _CELLS = ["RX", "RY", "RZ", "TX", "TY", "TZ"]
@@ -87,5 +84,4 @@ def _stamps(frames: Float[np.ndarray, " N"], rate: float, path: Path) -> Float[n
     if bad.any():
         row = int(np.argmax(bad))
         raise DatasetError(f"{path}, line {row + _FIRST_DATA_LINE}", f"frame number {frames[row]} does not increase")
-    stamps: Float[np.ndarray, " N"] = (frames - frames[0]) / rate
-    return stamps
+    return np.subtract(frames, frames[0]) / rate

@@ -18,9 +18,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from kinecast import __version__
-from kinecast.datasets.compressed import STREAM_LIMIT, WHOLE_LIMIT
-from kinecast.datasets.recording import Recording
-from kinecast.datasets.table import Description, describe
+from kinecast.datasets.files import STREAM_LIMIT, WHOLE_LIMIT
+from kinecast.datasets.recording import Description, Recording, describe
 from kinecast.errors import DatasetError
 from kinecast.live.foxglove import scene_update, skeleton_update
 from kinecast.live.message_file import labelled_frames, message, recordings_of

@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.datasets.compressed import MOST_POINTS, base_name, chunks
-from kinecast.datasets.recording import Recording
-from kinecast.datasets.table import Description
+from kinecast.datasets.files import MOST_POINTS, base_name, chunks
+from kinecast.datasets.recording import Description, Recording
 from kinecast.errors import DatasetError
 from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, person_of
 from kinecast.types import SkeletonFrame

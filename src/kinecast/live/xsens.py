@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from kinecast.body.skeleton import XSENS_23
 from kinecast.errors import OptionError
-from kinecast.geometry.axes import from_y_up
+from kinecast.geometry.transforms import from_y_up
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import FARTHEST, MessageError
 from kinecast.live.sender_guard import FORGET, MOST_PERSONS, SenderGuard

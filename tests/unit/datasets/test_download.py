@@ -317,9 +317,9 @@ def test_the_shipped_table_is_well_formed() -> None:
     assert [None if s.files is None else len(s.files) for s in sets.values()] == [47, 14, 27, None]
     for public in sets.values():
         assert public.url.startswith("https://")
-        for checksum, size in (public.files or {}).values():
-            assert re.fullmatch("sha256:[0-9a-f]{64}", checksum)
-            assert 0 < size < 10_000_000
+        for facts in (public.files or {}).values():
+            assert re.fullmatch("[0-9a-f]{64}", str(facts["sha256"]))
+            assert 0 < int(facts["bytes"]) < 10_000_000
 
 
 def test_the_shipped_checksums_are_those_of_the_real_files(server: Server, data_root: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import XSENS_23
-from kinecast.datasets import mvnx, xsens_csv
+from kinecast.datasets import mvnx
 from kinecast.errors import DatasetError
 
 
@@ -137,8 +137,8 @@ def test_csv_twin(tmp_path: Path, motion: Callable[..., np.ndarray]) -> None:
     path = tmp_path / "Trial_2.xsens.csv"
     positions = motion(XSENS_23.joints, 8)
     path.write_text(csv_text(segments, positions))
-    assert xsens_csv.matches(path)
-    (recording,) = xsens_csv.load(path)
+    assert mvnx.matches(path)
+    (recording,) = mvnx.load(path)
     assert (recording.name, recording.rate) == ("Trial_2", 240.0)
     assert recording.joints == XSENS_23.joints
     assert recording.notes == ("rate not stated by the format; 240 Hz assumed",)
@@ -151,4 +151,4 @@ def test_csv_twin_that_lacks_an_axis_is_refused(tmp_path: Path, motion: Callable
         csv_text(["LeftHand", "RightHand"], motion(["left_wrist", "right_wrist"], 4)).replace("RightHand_z", "z")
     )
     with pytest.raises(DatasetError, match=r"line 1: segment RightHand has columns for x, y, expected x, y, z"):
-        xsens_csv.load(path)
+        mvnx.load(path)

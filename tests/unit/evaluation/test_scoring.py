@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from kinecast.prediction.forecast import Forecast, WorldDensity
 from scipy.stats import chi2
 
 from kinecast.body.limits import AngleLimit, JointLimits
@@ -18,7 +19,6 @@ from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evalua
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
 from kinecast.prediction.baselines import constant_velocity, zero_velocity
-from kinecast.prediction.forecast import Forecast, WorldDensity
 from kinecast.prediction.gaussian import PositionGaussian
 from kinecast.prediction.observation import Observation
 

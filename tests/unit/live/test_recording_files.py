@@ -22,8 +22,7 @@ from mcap.records import Chunk, Header
 
 from kinecast.body.skeleton import ARM_JOINTS, JOINTS
 from kinecast.datasets import table
-from kinecast.datasets.difference import differences
-from kinecast.datasets.recording import Recording
+from kinecast.datasets.recording import Recording, differences
 from kinecast.errors import DatasetError
 from kinecast.live import mcap_file, message_file
 from kinecast.live.publication import Publication

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from kinecast.prediction.allowance import LEAST, Allowance
 from scipy.special import ndtr
 
 from kinecast.body.limits import AngleLimit, JointLimits, bounds
 from kinecast.body.posture import ANGLES, points_from_postures, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import ConstantVelocity, HalfSpace, MovingObstacle, Sphere
-from kinecast.prediction.allowance import LEAST, Allowance
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 

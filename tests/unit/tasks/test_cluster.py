@@ -18,6 +18,7 @@ import pytest
 pytest.importorskip("distributed")
 
 from distributed import LocalCluster
+from kinecast.prediction.kinecast.expert_training import fit_network
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic import SyntheticOptions, generate
@@ -25,7 +26,6 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ClusterError, DatasetError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
-from kinecast.prediction.kinecast.expert_training import fit_network
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.tasks.cluster import Cluster, cluster_at, worker_count
 from kinecast.tasks.workers import Serial, Workers, given

@@ -8,16 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.datasets.synthetic.body import Body, Trunk, joints, reach_ratio, shoulder
-from kinecast.datasets.synthetic.options import SyntheticOptions
 from kinecast.datasets.synthetic.paths import PEAK, Path, Sway
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 
-__all__ = ["LEFT", "RIGHT", "TASKS", "Actor"]
-
 TASKS = ("pick_and_place", "carrying", "reaching")
 
 LEFT, RIGHT = 0, 1
+WRIST_ABOVE_TABLE = 0.08
+"""Wrists stay this far above the table, the length of a bent hand [m]."""
+
 SHORTEST = 0.4
 """No movement takes less time [s]."""
 
@@ -34,12 +34,14 @@ class Actor:
     Id idle. The last quarter of the movement to an object or to its place belongs to Pi or Pl.
     """
 
-    def __init__(self, body: Body, options: SyntheticOptions, scene: Scene, rng: np.random.Generator) -> None:
+    def __init__(
+        self, body: Body, scene: Scene, rng: np.random.Generator, table_height: float, hesitation: float = 0.0
+    ) -> None:
         self._body = body
-        self._options = options
+        self._hesitation = hesitation
         self._goals = scene.goals
         self._rng = rng
-        self._wrist_height = options.table_height + 0.08
+        self._wrist_height = table_height + WRIST_ABOVE_TABLE
         rest = [self._rest(LEFT), self._rest(RIGHT)]
         self._hands = [Path(rest[LEFT]), Path(rest[RIGHT])]
         self._trunk = Path(self._posture(np.stack(rest), turn_to=0.0))
@@ -57,19 +59,12 @@ class Actor:
             "carrying": self._carry_crate,
             "reaching": self._touch,
         }[task]
-        self._pause(0.2, 1.0)
+        self._dwell("Id", 0.2, 1.0)
         while self._now < duration:
             step()
 
     def fetch(self, start: float, place: Point, hand: int, hold: float) -> None:
-        """Reach for a place, stay there, and draw back.
-
-        Args:
-            start: of the reach [s]; later if the last movement has not ended.
-            place: (3,) of the wrist [m].
-            hand: LEFT or RIGHT.
-            hold: how long to stay [s].
-        """
+        """Reach for a place of the wrist [m] at a time [s], or when the last movement has ended; hold it, draw back."""
         self._now = max(self._now, start)
         self._reach({hand: place}, ("Re", "Pi"))
         self._dwell("Pi", hold, hold)
@@ -77,21 +72,15 @@ class Actor:
 
     def joints(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 10 3"]:
         """(N, 10, 3) true joint positions [m] at times [s], in the order of `body.JOINTS`."""
-        posture, wander = self._trunk.at(times), self._wander.at(times)
-        lean, twist, tilt = (posture + wander[:, 2:]).T
-        trunk = Trunk(wander[:, :2], lean, twist, tilt)
-        hands = np.stack(
-            [path.at(times) + sway.at(times) for path, sway in zip(self._hands, self._tremble, strict=True)],
-            1,
-        )
-        return joints(self._body, trunk, hands, self._swivel.at(times) + self._elbow_sway.at(times))
+        wander = self._wander.at(times)
+        trunk = Trunk(wander[:, :2], *(self._trunk.at(times) + wander[:, 2:]).T)
+        hands = [path.at(times) + sway.at(times) for path, sway in zip(self._hands, self._tremble, strict=True)]
+        return joints(self._body, trunk, np.stack(hands, 1), self._swivel.at(times) + self._elbow_sway.at(times))
 
     def labels(self, times: Float[np.ndarray, " N"]) -> tuple[str, ...]:
         """The label of each time."""
         starts = np.array([start for start, _ in self._labels])
         return tuple(self._labels[i][1] for i in np.searchsorted(starts, times, side="right") - 1)
-
-    # Tasks
 
     def _pick_and_place(self) -> None:
         """A cube to the tray on its side, or to the middle."""
@@ -132,11 +121,6 @@ class Actor:
         if self._rng.random() < 0.6:
             self._back(*goals)
 
-    # What tasks are made of
-
-    def _pause(self, low: float, high: float) -> None:
-        self._dwell("Id", low, high)
-
     def _dwell(self, label: str, low: float, high: float) -> None:
         """Stay for a random time [s]."""
         self._labels.append((self._now, label))
@@ -146,7 +130,7 @@ class Actor:
         """Hands back to where they rest, and mostly a pause."""
         self._reach({hand: self._rest(hand) for hand in hands}, ("Re", "Re"))
         if self._rng.random() < 0.7:
-            self._pause(0.2, 1.5)
+            self._dwell("Id", 0.2, 1.5)
 
     def _reach(
         self,
@@ -157,14 +141,11 @@ class Actor:
     ) -> None:
         """Move one hand or both, trunk and elbows with them.
 
-        Args:
-            targets: where each hand goes [m].
-            labels: of the first three quarters, and of the last.
-            lift: height of the via-point [m]; a low natural arch if None.
-            instead: now and then the hand sets out for this place first.
+        `labels` are of the first three quarters, and of the last; `lift` is the height of the via-point [m], a low
+        natural arch if None; now and then the hand sets out for `instead` first.
         """
         (first, goal), *_ = targets.items()
-        if instead is not None and self._rng.random() < self._options.hesitation:
+        if instead is not None and self._rng.random() < self._hesitation:
             wrong = self._move({first: instead}, lift)
             self._labels.append((self._now, labels[0]))
             self._now += wrong * self._rng.uniform(0.35, 0.6)
@@ -197,8 +178,6 @@ class Actor:
         self._trunk.move(self._now, following, self._posture(wrists, turn_to))
         self._swivel.move(self._now, duration, self._body.swivel + rng.uniform(-0.1, 0.15, 2))
         return duration
-
-    # Places
 
     def _posture(self, wrists: Float[np.ndarray, "2 3"], turn_to: float) -> Float[np.ndarray, " 3"]:
         """Lean, twist and tilt [rad]: the least lean that brings both wrists into comfortable reach."""

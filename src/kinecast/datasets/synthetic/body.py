@@ -10,8 +10,6 @@ from jaxtyping import Float
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.transforms import rotation_x, rotation_y, rotation_z
 
-__all__ = ["JOINTS", "Body", "Trunk", "joints", "reach_ratio", "shoulder"]
-
 JOINTS = (*ARM_JOINTS, "neck", "head", "pelvis", "chest")
 """The joints of a generated recording."""
 
@@ -93,8 +91,7 @@ class Trunk:
 
     def rotation(self, share: float = 1.0) -> Float[np.ndarray, "N 3 3"]:
         """(N, 3, 3) orientation of the spine, at a share of the way up for its twist."""
-        R: Float[np.ndarray, "N 3 3"] = rotation_y(self.lean) @ rotation_x(self.tilt) @ rotation_z(share * self.twist)
-        return R
+        return rotation_y(self.lean) @ rotation_x(self.tilt) @ rotation_z(share * self.twist)
 
 
 def shoulder(body: Body, trunk: Trunk, side: float) -> Float[np.ndarray, "N 3"]:
@@ -106,23 +103,16 @@ def reach_ratio(
     body: Body, shoulders: Float[np.ndarray, "N 3"], wrists: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, " N"]:
     """(N,) distance from shoulder to wrist as a share of the arm's length."""
-    ratio: Float[np.ndarray, " N"] = np.linalg.norm(wrists - shoulders, axis=-1) / (body.upper_arm + body.forearm)
-    return ratio
+    return np.divide(np.linalg.norm(wrists - shoulders, axis=-1), body.upper_arm + body.forearm)
 
 
 def joints(
     body: Body, trunk: Trunk, hands: Float[np.ndarray, "N 2 3"], swivel: Float[np.ndarray, "N 2"]
 ) -> Float[np.ndarray, "N 10 3"]:
-    """All joints of a person whose wrists are at given places.
+    """(N, 10, 3) joints [m] in the order of `JOINTS` of a person whose wrists are at given places, or fall short.
 
-    Args:
-        body: the build.
-        trunk: posture of the trunk.
-        hands: (N, 2, 3) left and right wrist [m]; one beyond reach falls short.
-        swivel: (N, 2) turn of each elbow about the line from shoulder to wrist, outwards from hanging [rad].
-
-    Returns:
-        (N, 10, 3) [m] in the order of `JOINTS`; bones keep their lengths exactly.
+    `swivel` [rad] is the turn of each elbow about the line from shoulder to wrist, outwards from hanging. Bones keep
+    their lengths exactly.
     """
     arms = [
         _arm(body, shoulder(body, trunk, side), hands[:, i], swivel[:, i], side) for i, side in enumerate((1.0, -1.0))
@@ -139,8 +129,7 @@ def joints(
 def _on_trunk(body: Body, trunk: Trunk, place: Float[np.ndarray, " 3"], share: float) -> Float[np.ndarray, "N 3"]:
     """A point fixed to the trunk, at a share of its twist."""
     pelvis = np.column_stack([trunk.pelvis, np.full(len(trunk.pelvis), body.hip_height)])
-    position: Float[np.ndarray, "N 3"] = pelvis + trunk.rotation(share) @ place
-    return position
+    return np.add(pelvis, trunk.rotation(share) @ place)
 
 
 def _arm(
@@ -161,18 +150,11 @@ def _arm(
     wrists = shoulders + distance[:, None] * along
     foot = (upper**2 - fore**2 + distance**2) / (2 * distance)
     radius = np.sqrt(upper**2 - foot**2)
-    down = _unit(_across(HANGING, along))
+    down = _unit(HANGING - (along @ HANGING)[:, None] * along)
     out = side * np.cross(along, down)
     circle = np.cos(swivel)[:, None] * down + np.sin(swivel)[:, None] * out
     return shoulders, shoulders + foot[:, None] * along + radius[:, None] * circle, wrists
 
 
-def _across(vector: Float[np.ndarray, " 3"], along: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """The part of a vector at right angles to each of N unit vectors."""
-    across: Float[np.ndarray, "N 3"] = vector - (along @ vector)[:, None] * along
-    return across
-
-
 def _unit(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    unit: Float[np.ndarray, "N 3"] = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return unit
+    return np.divide(vectors, np.linalg.norm(vectors, axis=-1, keepdims=True))

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from jaxtyping import Float
-
-__all__ = ["Path", "Sway", "arch", "minimum_jerk"]
 
 PEAK = 1.875
 """Peak over mean speed of a minimum-jerk movement: s'(1/2) = 15/8."""
@@ -16,8 +12,7 @@ PEAK = 1.875
 def minimum_jerk(phase: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """s(τ) = 10 τ³ − 15 τ⁴ + 6 τ⁵, from 0 to 1, at rest outside (Flash & Hogan 1985)."""
     tau = np.clip(phase, 0.0, 1.0)
-    s: Float[np.ndarray, "*n"] = tau**3 * (10.0 + tau * (-15.0 + 6.0 * tau))
-    return s
+    return np.multiply(tau**3, 10.0 + tau * (-15.0 + 6.0 * tau))
 
 
 def arch(phase: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -27,21 +22,9 @@ def arch(phase: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     line: the quintic spline that is at rest at both ends and smooth to the fourth derivative between.
     """
     u = 1.0 - np.abs(2.0 * np.clip(phase, 0.0, 1.0) - 1.0)
-    b: Float[np.ndarray, "*n"] = u**3 * (20.0 + u * (-25.0 + 8.0 * u)) / 3.0
-    return b
+    return np.divide(u**3 * (20.0 + u * (-25.0 + 8.0 * u)), 3.0)
 
 
-@dataclass(frozen=True)
-class _Movement:
-    """One displacement, with a via-point off its middle."""
-
-    start: float
-    duration: float
-    displacement: Float[np.ndarray, " D"]
-    via: Float[np.ndarray, " D"]
-
-
-@dataclass
 class Path:
     """A point that starts at rest and is moved again and again.
 
@@ -50,12 +33,10 @@ class Path:
     overtakes the one before.
     """
 
-    target: Float[np.ndarray, " D"]
-    _start: Float[np.ndarray, " D"] = field(init=False)
-    _movements: list[_Movement] = field(init=False, default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._start = self.target
+    def __init__(self, start: Float[np.ndarray, " D"]) -> None:
+        self.target = start
+        self._start = start
+        self._movements: list[tuple[float, float, Float[np.ndarray, " D"], Float[np.ndarray, " D"]]] = []
 
     def move(
         self,
@@ -64,24 +45,21 @@ class Path:
         target: Float[np.ndarray, " D"],
         via: Float[np.ndarray, " D"] | None = None,
     ) -> None:
-        """Add a movement from the last target to a new one.
+        """Add a movement from the last target to a new one, from a time [s] on and as long as `duration` [s].
 
-        Args:
-            start, duration: [s].
-            target: (D,) where it ends.
-            via: (D,) offset of the via-point from the middle of the straight line; none if straight.
+        `via` is the offset of the via-point from the middle of the straight line; none if straight.
         """
         offset = np.zeros_like(target) if via is None else via
-        self._movements.append(_Movement(start, duration, target - self.target, offset))
+        self._movements.append((start, duration, target - self.target, offset))
         self.target = target
 
     def at(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N D"]:
         """(N, D) where it is at times [s]."""
         position = np.tile(self._start, (len(times), 1))
-        for movement in self._movements:
-            phase = (times - movement.start) / movement.duration
-            position += minimum_jerk(phase)[:, None] * movement.displacement
-            position += arch(phase)[:, None] * movement.via
+        for start, duration, displacement, via in self._movements:
+            phase = (times - start) / duration
+            position += minimum_jerk(phase)[:, None] * displacement
+            position += arch(phase)[:, None] * via
         return position
 
 
@@ -96,5 +74,4 @@ class Sway:
     def at(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N D"]:
         """(N, D) offset at times [s], within ± the amplitude."""
         angle = 2 * np.pi * self._frequency * times[:, None, None] + self._phase
-        offset: Float[np.ndarray, "N D"] = self._amplitude * np.sin(angle).sum(axis=1)
-        return offset
+        return np.multiply(self._amplitude, np.sin(angle).sum(axis=1))

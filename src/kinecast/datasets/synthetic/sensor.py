@@ -10,9 +10,6 @@ from scipy.signal import lfilter
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic.body import JOINTS
-from kinecast.datasets.synthetic.options import SyntheticOptions
-
-__all__ = ["sense"]
 
 BREATHING_TIME = 0.83
 """Correlation time of the common bone length [s]; HA4M: 0.96, 0.67, 0.26 after 1, 10, 30 frames at 30 Hz."""
@@ -29,26 +26,25 @@ LOST_FRAMES = 5.0
 ARMS = (slice(0, 3), slice(3, 6))
 
 
-def sense(truth: Recording, options: SyntheticOptions, rng: np.random.Generator) -> Recording:
-    """A recording as a tracker would have made it: breathing bones, noise, jumps, dropouts, repeated frames.
-
-    Args:
-        truth: a clean recording with the joints of `body.JOINTS`.
-        options: how much of each.
-        rng: randomness.
-
-    Returns:
-        The same stamps and labels; NaN where an arm is lost.
-    """
+def sense(
+    truth: Recording,
+    rng: np.random.Generator,
+    noise: float,
+    breathing: float,
+    repeated: float,
+    jumps: float,
+    dropouts: float,
+) -> Recording:
+    """A recording of `body.JOINTS` as a tracker would have made it; the flaws are those of `SyntheticOptions`."""
     positions = truth.positions * 1.0
     chest = positions[:, JOINTS.index("chest"), None]
-    factor = 1.0 + options.breathing * _breathing(rng, len(positions), truth.rate)
+    factor = 1.0 + breathing * _breathing(rng, len(positions), truth.rate)
     positions = chest + factor[:, None, None] * (positions - chest)
-    spread = options.noise * np.array([1.5 if "elbow" in name or "wrist" in name else 1.0 for name in JOINTS])
+    spread = noise * np.array([1.5 if "elbow" in name or "wrist" in name else 1.0 for name in JOINTS])
     positions += rng.normal(0.0, 1.0, positions.shape) * spread[:, None]
-    _jump(rng, positions, truth.rate, options.jumps)
-    _lose(rng, positions, options.dropouts)
-    for frame in np.flatnonzero(rng.random(len(positions) - 1) < options.repeated) + 1:
+    _jump(rng, positions, truth.rate, jumps)
+    _lose(rng, positions, dropouts)
+    for frame in np.flatnonzero(rng.random(len(positions) - 1) < repeated) + 1:
         positions[frame] = positions[frame - 1]
     return replace(truth, positions=positions, notes=("generated, with a simulated tracker",))
 

@@ -1,0 +1,182 @@
+"""Recordings of generated people and the scene they stand in: clean, as a tracker sees them, or as told to reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.datasets.recording import Recording
+from kinecast.datasets.synthetic.activity import LEFT, RIGHT, TASKS, WRIST_ABOVE_TABLE, Actor
+from kinecast.datasets.synthetic.body import JOINTS, Body
+from kinecast.datasets.synthetic.sensor import sense
+from kinecast.errors import OptionError
+from kinecast.geometry.scene import Scene
+from kinecast.geometry.shapes import Box, Sphere
+
+
+@dataclass(frozen=True)
+class SyntheticOptions:
+    """Options of `generate`. The sensor's defaults are what two HA4M clips show.
+
+    Attributes:
+        subjects: how many people, each with an own build, tempo and handedness.
+        recordings: per person; the tasks pick_and_place, carrying, reaching take turns.
+        duration: of each recording [s].
+        rate: frames per second [Hz].
+        table_height: of the table's top [m]. People stand.
+        hesitation: share of reaches that set out for another goal first.
+        noise: standard deviation of each coordinate of the trunk [m]; 1.5 times as much at elbows and wrists.
+        breathing: standard deviation of the one factor by which all bones grow and shrink together.
+        repeated: share of frames that repeat the frame before.
+        jumps: tracker jumps per second.
+        dropouts: share of frames in which an arm is lost.
+    """
+
+    subjects: int = 4
+    recordings: int = 3
+    duration: float = 20.0
+    rate: float = 30.0
+    table_height: float = 0.9
+    hesitation: float = 0.1
+    noise: float = 0.0015  # HA4M: 1.3 mm at the neck to 2.4 mm at a wrist, from third differences
+    breathing: float = 0.04  # HA4M: 0.043 and 0.039 in V001 and V002
+    repeated: float = 0.025  # HA4M: 0.028 and 0.023
+    jumps: float = 0.15  # HA4M: about 20 in 80 s of V001, 10 in 88 s of V002
+    dropouts: float = 0.01  # HA4M has none, the Vicon recordings 0-5 %
+
+    def __post_init__(self) -> None:
+        ranges = {
+            "subjects": (1, 10_000),
+            "recordings": (1, 10_000),
+            "duration": (0.1, 3600.0),
+            "rate": (1.0, 1000.0),
+            "table_height": (0.8, 0.9),  # lower than any elbow, and within the reach of all
+            "hesitation": (0.0, 1.0),
+            "noise": (0.0, 0.1),
+            "breathing": (0.0, 0.2),
+            "repeated": (0.0, 0.9),
+            "jumps": (0.0, 10.0),
+            "dropouts": (0.0, 0.9),
+        }
+        for name, (low, high) in ranges.items():
+            if not low <= getattr(self, name) <= high:
+                raise OptionError(f"{name} {getattr(self, name)} is outside {low}..{high}")
+
+
+@dataclass(frozen=True, eq=False)
+class Fetch:
+    """One reach.
+
+    Attributes:
+        start: when it begins [s].
+        place: (3,) of the wrist, in the person's frame: on the floor, x forward, z up [m].
+        hold: how long the hand stays there [s].
+        left: with which hand; None for the one on the place's side.
+    """
+
+    start: float
+    place: Float[np.ndarray, "3"]
+    hold: float = 1.0
+    left: bool | None = None
+
+
+def table_scene(options: SyntheticOptions) -> Scene:
+    """The table as a slab, and where a wrist is when its hand is at each cube, tray or side of the crate.
+
+    People stand at the origin and look along x.
+    """
+    wrist = options.table_height + WRIST_ABOVE_TABLE
+    thickness = 0.04
+    top = Box(np.array([0.55, 0.0, options.table_height - thickness / 2]), np.array([0.76, 1.6, thickness]))
+    goals: dict[str, Sphere | Box] = {
+        name: Sphere(np.array([x, y, wrist + 0.01]), 0.05)
+        for name, x, y in (("red_cube", 0.42, 0.24), ("green_cube", 0.45, 0.0), ("blue_cube", 0.42, -0.24))
+    }
+    for name, y in (("left_tray", 0.42), ("right_tray", -0.42)):
+        goals[name] = Box(np.array([0.3, y, wrist + 0.02]), np.array([0.14, 0.2, 0.04]))
+    for name, y in (("crate_left", 0.16), ("crate_right", -0.16)):
+        goals[name] = Box(np.array([0.36, y, wrist + 0.03]), np.array([0.1, 0.36, 0.04]))
+    return Scene((top,), goals)
+
+
+def generate(options: SyntheticOptions, seed: int) -> list[Recording]:
+    """People at a table as a tracker sees them: noise, jumps, dropouts, repeated frames, breathing bones.
+
+    Returns:
+        `options.subjects` × `options.recordings` recordings with labels, subject and task; frame by frame the
+        motions of `generate_clean` with the same options and seed.
+    """
+    o = options
+    return [
+        sense(truth, np.random.default_rng(sensor), o.noise, o.breathing, o.repeated, o.jumps, o.dropouts)
+        for truth, sensor in _performances(options, seed)
+    ]
+
+
+def generate_clean(options: SyntheticOptions, seed: int) -> list[Recording]:
+    """The true motions behind `generate`: constant bones, no noise, nothing missing.
+
+    Arms keep clear of the table, of their joints' limits and of impossible speeds.
+    """
+    return [truth for truth, _ in _performances(options, seed)]
+
+
+def _performances(options: SyntheticOptions, seed: int) -> list[tuple[Recording, np.random.SeedSequence]]:
+    """Each true recording, and the seed of its sensor."""
+    scene = table_scene(options)
+    stamps = np.arange(max(1, round(options.duration * options.rate))) / options.rate
+    performances = []
+    for subject, person in enumerate(np.random.SeedSequence(seed).spawn(options.subjects)):
+        build, *takes = person.spawn(1 + options.recordings)
+        body = Body.sample(np.random.default_rng(build))
+        for take, source in enumerate(takes):
+            motion, sensor = source.spawn(2)
+            task = TASKS[take % len(TASKS)]
+            actor = Actor(body, scene, np.random.default_rng(motion), options.table_height, options.hesitation)
+            actor.perform(task, options.duration)
+            truth = _recorded(actor, stamps, options.rate, f"{task}/{subject}-{take}", subject, task)
+            performances.append((truth, sensor))
+    return performances
+
+
+def fetching(fetches: Sequence[Fetch], duration: float, seed: int, rate: float = 100.0) -> Recording:
+    """The true motion of somebody at a table who reaches for places one after the other.
+
+    Args:
+        fetches: in order of their starts; one that begins before the last has ended waits for it.
+        duration: [s].
+        seed: of the build, the tempo and the way they move.
+        rate: frames per second [Hz].
+
+    Raises:
+        OptionError: a duration or rate that is not above 0.
+    """
+    if not (duration > 0 and rate > 0):
+        raise OptionError(f"duration {duration} s and rate {rate} Hz must be above 0")
+    build, motion = np.random.SeedSequence(seed).spawn(2)
+    body, options = Body.sample(np.random.default_rng(build)), SyntheticOptions()
+    actor = Actor(body, table_scene(options), np.random.default_rng(motion), options.table_height)
+    for fetch in fetches:
+        left = fetch.place[1] > 0 if fetch.left is None else fetch.left
+        actor.fetch(fetch.start, fetch.place, LEFT if left else RIGHT, fetch.hold)
+    stamps = np.arange(max(2, round(duration * rate))) / rate
+    return _recorded(actor, stamps, rate, f"fetching/{seed}", seed, "fetching")
+
+
+def _recorded(
+    actor: Actor, stamps: Float[np.ndarray, " N"], rate: float, name: str, subject: int, task: str
+) -> Recording:
+    return Recording(
+        name=f"synthetic/{name}",
+        joints=JOINTS,
+        stamps=stamps,
+        positions=actor.joints(stamps),
+        rate=rate,
+        subject=f"synthetic-{subject}",
+        task=task,
+        labels=actor.labels(stamps),
+        notes=("generated",),
+    )
