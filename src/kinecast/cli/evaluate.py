@@ -31,7 +31,7 @@ from kinecast.errors import OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import every_frame
-from kinecast.prediction.forecast import Method
+from kinecast.prediction.method import Method
 from kinecast.tasks.workers import Serial, Workers
 
 DEFAULT_METHODS = (
@@ -130,7 +130,7 @@ def evaluate(
 
 def score(
     out: Path,
-    methods: Mapping[str, Method],
+    methods: Mapping[str, Method[Any]],
     parts: Sequence[Windows],
     histories: Sequence[Windows],
     windows: WindowOptions,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinecast.cli.destination import check_file
+from kinecast.cli.output_paths import check_file
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.live.detection import DetectionHandler
@@ -22,7 +22,7 @@ from kinecast.live.xsens import DEFAULT_PORT, XsensGuard, XsensOptions
 from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
-    from kinecast.cameras.fused import FusedSource
+    from kinecast.cameras.fused_source import FusedSource
 
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from kinecast.body.limits import JointLimits
 from kinecast.cli.progress import note, progress_bar
@@ -14,9 +15,8 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
-from kinecast.prediction.forecast import Method
-from kinecast.prediction.kinecast.ablation import ablations
-from kinecast.prediction.kinecast.method import Horizon
+from kinecast.prediction.method import Method
+from kinecast.prediction.kinecast.model import Kinecast, ablations
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
 from kinecast.prediction.outside import is_outside, trained_outside_on
 from kinecast.tasks.workers import Workers
@@ -33,7 +33,7 @@ class MethodSet:
         windows: what they are made for.
     """
 
-    methods: Mapping[str, Method]
+    methods: Mapping[str, Method[Any]]
     limits: JointLimits
     trained_on: Sequence[str]
     windows: WindowOptions
@@ -41,7 +41,7 @@ class MethodSet:
     def with_ablations(self) -> MethodSet:
         """With, before `kinecast`, what is left of it with each stage switched off; OptionError if it is not there."""
         whole = self.methods.get("kinecast")
-        if not isinstance(whole, Horizon):
+        if not isinstance(whole, Kinecast):
             raise OptionError(f"--ablate takes kinecast apart; the methods are {', '.join(self.methods)}")
         parts = {f"kinecast, {name}": part for name, part in ablations(whole).items()}
         others = {name: method for name, method in self.methods.items() if method is not whole}

@@ -42,7 +42,7 @@ from kinecast.evaluation.plots import (
 )
 from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.forecast import Method
+from kinecast.prediction.method import Method
 from kinecast.tasks.workers import Progress, Workers
 
 try:
@@ -57,7 +57,7 @@ PICTURES = {".png": "image/png", ".gif": "image/gif"}
 
 def run_evaluation(
     out: Path,
-    methods: Mapping[str, Method],
+    methods: Mapping[str, Method[Any]],
     recordings: Sequence[TestRecording],
     scene: Scene | None,
     options: EvaluationOptions,
@@ -98,7 +98,7 @@ def run_evaluation(
 
 
 def _busiest(
-    recordings: Sequence[TestRecording], method: Method, scene: Scene | None, options: EvaluationOptions
+    recordings: Sequence[TestRecording], method: Method[Any], scene: Scene | None, options: EvaluationOptions
 ) -> tuple[Moment, str]:
     """A moment where the wrists move much (more than in 19 of 20 windows) and the whole future is known."""
     recording = max(recordings, key=lambda each: len(each.observations))

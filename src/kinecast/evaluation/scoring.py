@@ -25,7 +25,7 @@ from kinecast.evaluation.metrics import (
 )
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import followed, observations
-from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with
+from kinecast.prediction.method import Forecast, Method, forecast_in_scene
 from kinecast.prediction.observation import Observation
 from kinecast.tasks.workers import Progress, Serial, Workers, generator, given
 
@@ -37,8 +37,6 @@ LIMITS = ("position", "speed", "scene")
 BOOTSTRAP_BLOCK = 5.0
 """Windows within this time of one another [s] are drawn together for standard errors."""
 
-BLOCK = 100
-"""Windows scored in one task."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class EvaluationOptions:
 
 
 def evaluate(
-    methods: Mapping[str, Method],
+    methods: Mapping[str, Method[Any]],
     recordings: Sequence[TestRecording],
     scene: Scene | None,
     options: EvaluationOptions,
@@ -116,9 +114,8 @@ def evaluate(
     truth = [workers.submit(_broken_by_truth, each, scene, options.limits) for each in shared]
     tasks = {
         name: [
-            workers.submit(score_windows, method, shared[place], place, rows, repeated[place], scene, options)
-            for place, recording in enumerate(recordings)
-            for rows in _blocks(methods[name], len(recording.observations))
+            workers.submit(score_recording, method, recording, place, repeated[place], scene, options)
+            for place, recording in enumerate(shared)
         ]
         for name, method in ((name, workers.submit(given, method)) for name, method in methods.items())
     }
@@ -132,11 +129,14 @@ def evaluate(
 
 
 def warm_up(
-    methods: Mapping[str, Method], recordings: Sequence[TestRecording], scene: Scene | None, options: EvaluationOptions
+    methods: Mapping[str, Method[Any]], recordings: Sequence[TestRecording], scene: Scene | None, options: EvaluationOptions
 ) -> None:
     """Scores each method on the first window, which there must be, so that everything is compiled."""
     for method in methods.values():
-        score_windows(method, recordings[0], 0, range(1), frozenset(), scene, options)
+        first = recordings[0].observations[0]
+        state = method.update(method.init_state(), first, first.positions[-1])
+        forecast = forecast_in_scene(method, state, first, generator(0), options.samples, scene)
+        Scores().add(forecast, first, recordings[0].future[0], scene, options)
 
 
 # One method on windows of one recording: what an evaluation does many times over, each time for itself
@@ -185,68 +185,49 @@ class Scores:
         self.volume.append(volume)
         self.stretch.append(stretch)
         self.broken.append(_violations(forecast.samples, observation, scene, options.limits))
-        self.accepted.append(float(forecast.accepted[-1]))
-        self.distinct.append(forecast.distinct)
+        self.accepted.append(forecast.accepted_fraction)
+        self.distinct.append(forecast.effective_sample_size)
 
 
-def score_windows(
-    method: Method,
+def score_recording(
+    method: Method[Any],
     recording: TestRecording,
     place: int,
-    rows: range,
     repeated: frozenset[int],
     scene: Scene | None,
     options: EvaluationOptions,
 ) -> Scores:
-    """Scores a method on some windows of a recording; draws depend on the window alone.
+    """Scores a method on the windows of a recording; draws depend on the window alone.
+
+    The method sees every frame up to a window's last, and none after it.
 
     Args:
         place: of the recording among all.
-        rows: of the windows in it, from the first one on where the method follows the person.
-        repeated: rows of those whose NLL is taken again.
+        repeated: rows of those windows whose NLL is taken again.
     """
     scores = Scores()
-    # Compiling is not predicting: the first call is not timed.
-    method.forecast(recording.observations[rows[0]], np.random.default_rng(0), options.samples, scene)
-    for row, (seconds, memory) in zip(rows, _in_turn(method, recording, rows), strict=False):
-        observation, truth = recording.observations[row], recording.future[row]
-        rng = generator(options.seed, place, row)
+    rows = {frame: row for row, frame in enumerate(recording.frames.tolist())}
+    state = method.init_state()
+    for frame, observation, measured in recording.history:
         started = time.perf_counter()
-        forecast = forecast_with(method, memory, observation, rng, options.samples, scene)
-        scores.seconds.append(seconds + time.perf_counter() - started)
+        state = method.update(state, observation, measured)
+        if frame not in rows:
+            continue
+        row = rows[frame]
+        truth = recording.future[row]
+        forecast = forecast_in_scene(
+            method, state, observation, generator(options.seed, place, row), options.samples, scene
+        )
+        scores.seconds.append(time.perf_counter() - started)
         scores.add(forecast, observation, truth, scene, options)
         if row in repeated:
             nll = np.empty(options.repeats)
             for k in range(options.repeats):
                 fresh = generator(options.seed, place, row, k)
-                forecast = forecast_with(method, memory, observation, fresh, options.samples, scene)
+                forecast = forecast_in_scene(method, state, observation, fresh, options.samples, scene)
                 nll[k] = _averages(-forecast.density.log_prob(truth)[None])[0] / NLL_JOINTS
             scores.again.append(nll)
     return scores
-
-
-def _in_turn(method: Method, recording: TestRecording, rows: range) -> Iterator[tuple[float, Any]]:
-    """For each window to be scored, in order: seconds spent on following the person, and what is remembered.
-
-    A method that follows the person sees every frame up to the window's last, and none after it.
-    """
-    if not isinstance(method, Follower):
-        for _ in rows:
-            yield 0.0, None
-        return
-    memory = method.memory()
-    scored = set(recording.frames.tolist())
-    for frame, observation, measured in recording.history:
-        started = time.perf_counter()
-        method.follow(memory, observation, measured)
-        if frame in scored:
-            yield time.perf_counter() - started, memory
-
-
-def _blocks(method: Method, windows: int) -> list[range]:
-    """Windows of a recording that are scored together: all where the method follows the person."""
-    size = windows if isinstance(method, Follower) else BLOCK
-    return [range(start, min(start + size, windows)) for start in range(0, windows, max(size, 1))]
 
 
 def _repeated(owner: Int[np.ndarray, " W"], options: EvaluationOptions) -> list[frozenset[int]]:
@@ -267,7 +248,7 @@ def _violations(
     positions: Float[np.ndarray, "S T 6 3"], observation: Observation, scene: Scene | None, limits: JointLimits
 ) -> Int[np.ndarray, "4"]:
     """Steps that break position limits, speed limits and the scene, from positions alone; and all known steps."""
-    initial = postures_from_points(observation.points, continuous=True)[-1]
+    initial = observation.posture
     postures = postures_from_points(observation.to_torso(positions), initial, continuous=True, usual=False)
     position, speed = violations(postures, initial, observation.dt, limits)
     known = np.isfinite(positions).all(axis=(-1, -2))

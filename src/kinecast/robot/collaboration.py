@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
@@ -16,7 +18,7 @@ from kinecast.datasets.synthetic import Fetch, fetching
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import inverse
 from kinecast.prediction.checkpoint import ModelCard
-from kinecast.prediction.forecast import Method
+from kinecast.prediction.method import Method
 from kinecast.prediction.methods import read_method, shipped_methods
 from kinecast.prediction.outside import is_outside
 from kinecast.predictor import Predictor, PredictorOptions
@@ -176,7 +178,7 @@ class Forecasters:
     def __init__(self, samples: int = 200) -> None:
         self._options = PredictorOptions(samples=samples)
         self._card, self._methods = shipped_methods()
-        self._outside: dict[str, tuple[ModelCard, Method]] = {}
+        self._outside: dict[str, tuple[ModelCard, Method[Any]]] = {}
 
     def make(self, name: str, people: Sequence[Person]) -> Predict:
         """A predictor that has seen nothing yet.
