@@ -38,15 +38,8 @@ def matches(path: Path) -> bool:
 def load(path: Path) -> list[Recording]:
     """One trial with the label of each frame: the annotators' majority over 0.25 s windows, ties `NONE`.
 
-    Args:
-        path: an MVNX file or its csv twin; its labels lie beside it, or in a folder above it in
-            `annotations/labels_csv2/<participant>/<trial>.labels.csv`.
-
-    Returns:
-        One recording; subject and task are read from the trial's name.
-
-    Raises:
-        DatasetError: the motion or the label file is not as expected, or there are no labels.
+    Labels lie beside an MVNX file or its csv twin, or in a folder above it in
+    `annotations/labels_csv2/<participant>/<trial>.labels.csv`. Subject and task are read from the trial's name.
     """
     labels = _label_file(path)
     if labels is None:

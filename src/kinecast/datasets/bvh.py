@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from kinecast.body.skeleton import ARM_JOINTS, BVH_COLLAR, BVH_FOREARM, Skeleton
+from kinecast.body.skeleton import ARM_JOINTS, BVH_COLLAR, BVH_FOREARM
 from kinecast.datasets.files import MOST_POINTS, base_name, head, number, read_bytes, rows
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
@@ -60,18 +60,7 @@ CENTIMETRES_Y_UP = BvhOptions()
 
 
 def load(path: Path, options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
-    """One motion, named as its file.
-
-    Args:
-        path: a BVH file, plain or compressed.
-        options: unit and vertical axis.
-
-    Returns:
-        One recording of the joints whose names are known; the notes say how many are left out.
-
-    Raises:
-        DatasetError: the file is not BVH, or names no known pair of arms; names the line.
-    """
+    """One motion, named as its file, of the joints whose names are known; the notes say how many are left out."""
     text = read_bytes(path)
     motion = re.search(rb"(?m)^[ \t]*MOTION[ \t\r]*$", text)
     if not motion:
@@ -80,7 +69,8 @@ def load(path: Path, options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
     step, table = _motion(text, motion.start(), joints, path)
 
     named = [joint.name for joint in joints if joint.name]
-    skeleton = _skeleton(named)
+    # The way of naming that fits more of the arms.
+    skeleton = max((BVH_FOREARM, BVH_COLLAR), key=lambda each: len(set(map(each.find, named)) & set(ARM_JOINTS)))
     found = {joint: place for place, joint in reversed(list(enumerate(map(skeleton.find, named)))) if joint}
     if not set(ARM_JOINTS) <= set(found):
         raise DatasetError(path, f"no known names of both arms' joints; the joints are {', '.join(named)}")
@@ -99,14 +89,6 @@ def load(path: Path, options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
             notes=(f"{others} joints of other names left out",) if others else (),
         )
     ]
-
-
-def _skeleton(names: list[str]) -> Skeleton:
-    """The way of naming that fits more of the arms."""
-    return max(
-        (BVH_FOREARM, BVH_COLLAR),
-        key=lambda skeleton: len({skeleton.find(name) for name in names} & set(ARM_JOINTS)),
-    )
 
 
 def _hierarchy(text: str, path: Path) -> list[_Joint]:
@@ -185,13 +167,8 @@ def _positions(joints: list[_Joint], table: Float[np.ndarray, "N C"]) -> Float[n
         del origins[joint.depth :], turns[joint.depth :]
         values = dict(zip(joint.channels, table[:, column : column + len(joint.channels)].T, strict=True))
         column += len(joint.channels)
-        local = np.stack(
-            [
-                values.get(f"{axis}position", np.full(len(table), offset))
-                for axis, offset in zip("XYZ", joint.offset, strict=True)
-            ],
-            axis=-1,
-        )
+        offset = dict(zip("XYZ", np.tile(joint.offset, (len(table), 1)).T, strict=True))
+        local = np.stack([values.get(f"{axis}position", offset[axis]) for axis in "XYZ"], axis=-1)
         order = [channel[0] for channel in joint.channels if channel.endswith("rotation")]
         turn = Rotation.identity(len(table))
         if order:

@@ -60,14 +60,7 @@ class PublicSet:
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """A file somewhere else.
-
-    Attributes:
-        name: relative path it is stored under, with `/`.
-        url: where it is.
-        checksum: `sha256:…` or `md5:…` of its bytes.
-        size: in bytes.
-    """
+    """A file somewhere else: the relative path it is stored under, with `/`, and `sha256:…` or `md5:…` of its bytes."""
 
     name: str
     url: str

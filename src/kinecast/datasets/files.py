@@ -145,18 +145,14 @@ def rows(
     first_line: int = 1,
     use: Sequence[int] | None = None,
 ) -> Float[np.ndarray, "N C"]:
-    """Rows of numbers.
+    """(N, C) numbers of lines, NaN where a cell is empty or says nan; blank lines are passed over.
 
     Args:
-        text: lines of `columns` cells each; blank lines are passed over.
-        columns: cells in a line.
+        text, columns: the lines, and how many cells each has.
         path: file for the message.
         delimiter: one character between cells; None for any white space.
         first_line: line of the file on which `text` starts, for the message.
-        use: places of the cells to read, in this order; None for all.
-
-    Returns:
-        (N, C) float64, one column a cell read; NaN where a cell is empty or says nan.
+        use: places of the C cells to read, in this order; None for all.
 
     Raises:
         DatasetError: no rows, a wrong column count, or a cell that is no number; names line and column.

@@ -43,16 +43,7 @@ def load(path: Path) -> list[Recording]:
     """One clip: a recording for each camera and body id, the body seen longest under the clip's own name.
 
     Stamps come from frame ids, so a missing frame is a gap in time. A body seen in one frame only is named
-    in the notes and left out.
-
-    Args:
-        path: the clip's folder, e.g. `IDU001V001`.
-
-    Returns:
-        Recordings of 32 joints; labels are those of the first label column, "" where a frame has none.
-
-    Raises:
-        DatasetError: the folder, a frame file or the label file is not as HA4M writes it.
+    in the notes and left out. Labels are those of the first label column, "" where a frame has none.
     """
     cameras = sorted(folder for folder in path.glob("Skeletons/*") if folder.is_dir())
     if not cameras:
@@ -74,19 +65,10 @@ def matches_features(path: Path) -> bool:
 
 
 def load_features(path: Path) -> list[Recording]:
-    """One clip of skeleton features, named as its file, e.g. `IDU001V001`.
+    """One clip of skeleton features, named as its file: float64 (69, T) or (42, T), in mm, camera axes.
 
     Labels come from `../GroundTruth/<clip>.txt` where that file exists. `ArmSkel` holds joints 3 to 16 of
     `UpSkel`: load one of the two.
-
-    Args:
-        path: npy file of float64 (69, T) or (42, T), in mm, camera axes.
-
-    Returns:
-        One recording at 30 Hz.
-
-    Raises:
-        DatasetError: the array or the label file is not as expected.
     """
     array, skeleton = _features(path)
     positions = from_camera(array.reshape(3, len(skeleton.joints), -1).transpose(2, 1, 0)) / 1000.0

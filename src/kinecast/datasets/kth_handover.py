@@ -24,17 +24,7 @@ def matches(path: Path) -> bool:
 
 
 def load(path: Path) -> list[Recording]:
-    """One handover, named `<folder>/giver` and `<folder>/taker`.
-
-    Args:
-        path: the folder of one handover; files of other things in it (baton, wrenches) are passed over.
-
-    Returns:
-        One recording a person.
-
-    Raises:
-        DatasetError: there are no segment files, one has another header, or their lengths differ.
-    """
+    """One handover, named `<folder>/giver` and `<folder>/taker`; files of baton and wrenches are passed over."""
     if not matches(path):
         expected = "giver_<segment>_pose_saved.csv and taker_<segment>_pose_saved.csv"
         raise DatasetError(path, f"expected a folder of {expected}")

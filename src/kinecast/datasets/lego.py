@@ -24,17 +24,7 @@ def matches(path: Path) -> bool:
 
 
 def load(path: Path) -> list[Recording]:
-    """One trial, named `Task1/Human1/trial1` after its folders where they are the dataset's.
-
-    Args:
-        path: text of 18 numbers a line, in metres.
-
-    Returns:
-        One recording of the six arm joints, at an assumed 30 Hz.
-
-    Raises:
-        DatasetError: a line is not 18 numbers.
-    """
+    """One trial of 18 numbers [m] a line, named `Task1/Human1/trial1` after folders where these are the dataset's."""
     table = rows(read_bytes(path), _COLUMNS, path, delimiter=None)
     *_, task, person, _ = ("", "", *path.absolute().parts)
     known = re.fullmatch(r"Human\d+", person) is not None

@@ -33,7 +33,13 @@ _UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
 
 @dataclass(frozen=True)
 class Format:
-    """A format of recordings: its name, whether a file or folder is of it by its content, and what loads all in it."""
+    """A format of recordings.
+
+    Attributes:
+        name: on the command line.
+        matches: whether a file or folder is of it, by its content, plain or compressed.
+        load: every recording in it; DatasetError, with file and line, where anything is not as the format has it.
+    """
 
     name: str
     matches: Callable[[Path], bool]

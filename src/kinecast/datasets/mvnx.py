@@ -40,17 +40,9 @@ def _is_csv(path: Path) -> bool:
 def load(path: Path) -> list[Recording]:
     """One trial: the segments of its normal frames, each at its proximal joint.
 
-    Time is the frame's index over the frame rate; the format's own whole milliseconds are too coarse. A csv twin is
-    read at an assumed 240 Hz, from its columns `position_<Segment>_x`, `_y`, `_z` [m] in upper or lower case.
-
-    Args:
-        path: an MVNX file or its csv twin, plain or compressed.
-
-    Returns:
-        One recording of the segments known to Xsens 23, in file order.
-
-    Raises:
-        DatasetError: not XML, a document type or entity (refused), or not as Xsens writes it; names the line.
+    Segments are those known to Xsens 23, in file order. Time is the frame's index over the frame rate; the format's own
+    whole milliseconds are too coarse. A csv twin is read at an assumed 240 Hz, from its columns
+    `position_<Segment>_x`, `_y`, `_z` [m] in upper or lower case. Document types and entities are refused.
     """
     return [_load_csv(path) if not _is_mvnx(path) and _is_csv(path) else _load_mvnx(path)]
 

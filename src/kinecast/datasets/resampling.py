@@ -29,14 +29,8 @@ def resample(recording: Recording, rate: float) -> Recording:
     """The recording on uniform stamps, `rate` frames per second, starting at its first frame.
 
     A joint is NaN wherever its two neighbouring frames are not both seen, or are more than one and a half frames
-    apart. Labels are those of the nearest frame. Nothing is smoothed: that would let a window see ahead.
-
-    Args:
-        recording: at any rate, stamps as uneven as they are.
-        rate: frames per second [Hz].
-
-    Returns:
-        The resampled recording; the same positions, bit by bit, where the stamps are uniform at this rate.
+    apart. Labels are those of the nearest frame. Nothing is smoothed: that would let a window see ahead. Positions
+    are the same, bit by bit, where the stamps are uniform at this rate.
 
     Raises:
         OptionError: rate outside `RATE_RANGE`.

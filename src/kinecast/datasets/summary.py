@@ -188,8 +188,7 @@ def _outside_limits(recording: Recording) -> tuple[float, float]:
         return np.nan, np.nan
     T_world_torso = torso_frame(recording.joints, recording.positions).T_world_torso
     arms = np.stack([recording.joint(name) for name in ARM_JOINTS], axis=1)
-    points = (arms - T_world_torso[:, None, :3, 3]) @ T_world_torso[:, :3, :3]
-    postures = postures_from_points(points)
+    postures = postures_from_points((arms - T_world_torso[:, None, :3, 3]) @ T_world_torso[:, :3, :3])
     seen = np.isfinite(postures).all(axis=-1)
     if not seen.any():
         return np.nan, np.nan

@@ -91,12 +91,8 @@ def matches(path: Path) -> bool:
 def write(path: Path, recordings: Sequence[Recording]) -> None:
     """Write recordings so that `load` gives them back bit for bit; the file appears whole or not at all.
 
-    Args:
-        path: ends in `.parquet` or `.csv`.
-        recordings: at least one; each of another person.
-
     Raises:
-        OptionError: the path has another ending.
+        OptionError: the path ends neither in `.parquet` nor in `.csv`.
         MissingExtraError: parquet without the extra.
         DatasetError: two recordings are of one person, there is none, or the file cannot be written.
     """
@@ -129,13 +125,8 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 def load(path: Path) -> list[Recording]:
     """One recording for each person; those of `write` come back bit for bit.
 
-    A table without kinecast's metadata takes its name from the file and its rate from the stamps.
-
-    Args:
-        path: parquet or csv, plain or compressed.
-
-    Returns:
-        Recordings in the order they were written, else of first appearance.
+    They come in the order they were written, else of first appearance. A table without kinecast's metadata takes its
+    name from the file and its rate from the stamps.
 
     Raises:
         MissingExtraError: parquet without the extra.
@@ -240,17 +231,7 @@ def _labels(
 
 
 def write_rows(path: Path, rows: Rows) -> None:
-    """Write a table; the file appears whole or not at all.
-
-    Args:
-        path: ends in `.parquet` or `.csv`.
-        rows: what to write.
-
-    Raises:
-        OptionError: the path has another ending.
-        MissingExtraError: parquet without the extra.
-        DatasetError: the file cannot be written.
-    """
+    """Write a table; the file appears whole or not at all. Raises as `write`."""
     columns: dict[str, Any] = {"stamp": rows.stamp, "person": rows.person, "joint": rows.joint}
     columns |= dict(zip(_POSITION, rows.position.T, strict=True))
     if rows.covariance is not None:

@@ -24,17 +24,7 @@ def matches(path: Path) -> bool:
 
 
 def load(path: Path) -> list[Recording]:
-    """One take, named `<folder>/<file>`; the folder is the task.
-
-    Args:
-        path: a Vicon Tracker csv file, plain or compressed.
-
-    Returns:
-        One recording of every body object, in file order; empty cells are NaN.
-
-    Raises:
-        DatasetError: the header or a row is not as Vicon Tracker writes it.
-    """
+    """One take of every body object, in file order, named `<folder>/<file>`; the folder is the task."""
     header, data = split_lines(read_bytes(path), _FIRST_DATA_LINE - 1, path)
     rate = number(header[1], f"{path}, line 2", "rate")
     if rate <= 0:

@@ -109,15 +109,12 @@ class Windows:
 
 
 def windows(recording: Recording, options: WindowOptions, truth: Recording | None = None) -> Windows:
-    """Every window of one recording.
+    """Every window of one recording, in order of time; none where it is too short or never has the label.
 
     Args:
         recording: on uniform stamps at `options.rate` (`kinecast.datasets.resampling.resample`).
         options: see WindowOptions; `mend_future` is for `all_windows`.
         truth: where what came next is read from, on the same stamps; None for the recording itself.
-
-    Returns:
-        The windows, in order of time; none where the recording is too short or never has the label.
 
     Raises:
         DatasetError: stamps not uniform at `options.rate`, or no arms.
@@ -160,15 +157,9 @@ def all_windows(
     progress: Progress | None = None,
     workers: Workers | None = None,
 ) -> list[Windows]:
-    """The windows of many recordings, resampled to `options.rate`.
+    """The windows of many recordings, resampled to `options.rate`; recordings without a window are passed over.
 
-    Recordings without a window are passed over.
-
-    Args:
-        recordings: of persons.
-        options: which windows.
-        progress: called with (done, total) recordings.
-        workers: that cut them; None for this process.
+    `progress` is called with (done, total) recordings; `workers` cut them, or this process.
 
     Raises:
         OptionError: the label was in none of them; the message lists those that are.
