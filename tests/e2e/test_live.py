@@ -242,7 +242,7 @@ def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> No
         (("--source", "ws://:0", "--sink", "printer"), "--sink printer: expected view://HOST:PORT"),
         (("--source", "ws://:0", "--sink", "mcap:out.bag"), "its name must end in .mcap"),
         (("--source", "ws://:0", "--sink", "mcap:/nowhere/out.mcap"), "there is no folder /nowhere"),
-        (("--source", "ws://:0", "--sink", "ws://:0?format=xml"), "format xml, allowed are json, msgpack"),
+        (("--source", "ws://:0", "--sink", "ws://:0?format=xml"), "format 'xml', allowed are json, msgpack"),
         (("--source", "{table}", "--source", "{table}", "--sink", "ws://:0"), "is there twice"),
         (("--source", "ws://:0", "--sink", "ws://:0", "--scene", "none.yaml"), "none.yaml"),
         (("--source", "ws://:0", "--sink", "ws://:0", "--model", "none.npz"), "none.npz"),

@@ -73,7 +73,7 @@ class LiveView:
     def close(self) -> None:
         """See kinecast.live.sinks.Sink."""
         self._closing.set()
-        self._thread.join()
+        self._thread.join(5.0)  # the first picture may still be in a compiler's hands
         stop_server(self._server)
 
     def _run(self) -> None:

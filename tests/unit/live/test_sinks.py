@@ -18,6 +18,7 @@ from websockets.sync.client import connect
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
+from kinecast.live import sinks
 from kinecast.live.counters import SinkCounters
 from kinecast.live.foxglove import scene_update
 from kinecast.live.loop import Live
@@ -128,6 +129,21 @@ def test_a_slow_disc_drops_and_never_makes_anyone_wait(predictor: Predictor, tmp
     sink.allowed.set()
     sink.close()
     assert sink.counters.published + sink.counters.dropped == MOST_WAITING + 50
+
+
+def test_a_disc_that_hangs_ends_in_time_and_is_counted(
+    predictor: Predictor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sinks, "CLOSING", 0.1)
+    sink = Slow(tmp_path / "hung")
+    sink.allowed = threading.Event()
+    for _ in range(5):
+        sink.publish(publication(predictor))
+    sink.close()
+    assert sink.counters.failure is not None
+    assert "still writing after 0.1 s" in sink.counters.failure
+    assert 4 <= sink.counters.dropped <= 5  # one may be in the writer's hands
+    sink.allowed.set()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full: a full disc cannot be had")
