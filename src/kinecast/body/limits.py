@@ -49,10 +49,7 @@ class JointLimits:
     """Limits of one arm, the same for both sides; hard, and all of them options.
 
     Attributes:
-        flexion: θ1, positive forward and up.
-        abduction: θ2, positive sideways; negative is adduction across the body.
-        axial_rotation: θ3, positive external (a bent forearm turns outward), negative internal.
-        elbow: θ4, positive bent.
+        flexion, abduction, axial_rotation, elbow: θ1 to θ4, with the signs of kinecast.body.posture.
         pronation: θ5, positive turns the palm down, negative (supination) up; zero is the thumb up.
         wrist_flexion: θ6, positive towards the palm.
         wrist_deviation: θ7, positive ulnar (away from the thumb), negative radial.

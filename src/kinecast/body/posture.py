@@ -38,7 +38,6 @@ from numba import njit
 from kinecast.geometry.transforms import transformed
 
 POSTURE_SIZE = 18
-WIDTH = 5
 LEFT_ARM = slice(6, 10)
 RIGHT_ARM = slice(12, 16)
 ANGLES = (6, 7, 8, 9, 12, 13, 14, 15)
@@ -49,9 +48,7 @@ LENGTHS = (5, 10, 11, 16, 17)
 Vector: TypeAlias = tuple[float, float, float]
 Angles: TypeAlias = tuple[float, float, float, float]
 
-LEFT = 1.0
-RIGHT = -1.0
-
+LEFT, RIGHT = 1.0, -1.0
 TURN = 2.0 * math.pi
 
 # Normal motion after the American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and
@@ -110,19 +107,26 @@ def arm_vectors(theta: Angles, upper: float, fore: float, side: float) -> tuple[
 
 @njit(cache=True)
 @no_type_check
-def _beyond(angle: float, usual: tuple[float, float]) -> float:
-    """Squared distance [rad²] of an angle from its usual range."""
-    distance = max(usual[0] - angle, angle - usual[1], 0.0)
-    return distance * distance
+def _turned(angle: float, previous: float, usual: tuple[float, float], weight: float) -> tuple[float, float]:
+    """The angle by whole turns nearest to previous, or to the usual range; its weighted squared distance from that."""
+    middle = 0.5 * (usual[0] + usual[1])
+    turned = nearest_turn(angle, previous)
+    if weight > 0.0 and math.fabs(turned - middle) > FAR:
+        turned = nearest_turn(angle, middle)
+    beyond = max(usual[0] - turned, turned - usual[1], 0.0)
+    return turned, weight * beyond * beyond
 
 
 @njit(cache=True)
 @no_type_check
-def _turned(angle: float, previous: float, usual: tuple[float, float], weight: float) -> float:
-    """The angle by whole turns nearest to previous, or, with a weight, to the usual range when that is far from it."""
-    middle = 0.5 * (usual[0] + usual[1])
-    turned = nearest_turn(angle, previous)
-    return turned if weight == 0.0 or math.fabs(turned - middle) <= FAR else nearest_turn(angle, middle)
+def _branch(theta: Vector, bend: float, previous: Angles, weight: float) -> Angles:
+    """θ1 to θ3 of a branch by whole turns, and what speaks against it; `bend` is θ4 where θ3 is defined, else 0."""
+    theta1, outside1 = _turned(theta[0], previous[0], USUAL_RANGE[0], weight)
+    theta2, outside2 = _turned(theta[1], previous[1], USUAL_RANGE[1], weight)
+    theta3, outside3 = _turned(theta[2], previous[2], USUAL_RANGE[2], weight)
+    cost = (theta1 - previous[0]) ** 2 + (theta2 - previous[1]) ** 2 + outside1 + outside2
+    cost += bend * (bend * outside3 - 2.0 * previous[3] * math.cos(theta3 - previous[2]))
+    return theta1, theta2, theta3, cost
 
 
 @njit(cache=True, error_model="numpy")
@@ -141,8 +145,7 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: floa
     the arm straight out sideways. A forearm that is NaN gives NaN for θ3 and θ4 alone.
 
     Args:
-        u: shoulder to elbow, of any length [m].
-        f: elbow to wrist, of any length [m].
+        u, f: shoulder to elbow and elbow to wrist, of any length [m].
         side: +1 left, −1 right.
         previous: the angles one step earlier [rad]; NaN for none, an arm at rest then.
         weight: of the usual range, `OUTSIDE_WEIGHT` or 0.
@@ -153,8 +156,9 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: floa
     upper = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     if math.isnan(upper):
         return math.nan, math.nan, math.nan, math.nan
-    p1, p2 = REST[:2] if math.isnan(previous[0] + previous[1]) else previous[:2]
-    p3, p4 = REST[2:] if math.isnan(previous[2] + previous[3]) else previous[2:]
+    shoulder = REST[:2] if math.isnan(previous[0] + previous[1]) else previous[:2]
+    elbow = REST[2:] if math.isnan(previous[2] + previous[3]) else previous[2:]
+    before = shoulder + elbow
 
     swing = math.sqrt(u[0] * u[0] + u[2] * u[2])
     s2, c2 = (side * u[1] / upper, swing / upper) if upper > COINCIDENT else (0.0, 1.0)
@@ -163,7 +167,7 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: floa
         theta1 = math.atan2(u[0], -u[2])
         s1, c1 = u[0] / swing, -u[2] / swing
     else:
-        theta1 = p1
+        theta1 = before[0]
         s1, c1 = math.sin(theta1), math.cos(theta1)
 
     flexed = f[0] * s1 - f[2] * c1
@@ -173,27 +177,14 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: floa
     across = math.sqrt(ahead * ahead + outward * outward)
     theta4 = math.atan2(across, along)
     bent = across > UNDEFINED * math.fabs(along)
-    theta3 = math.atan2(outward, ahead) if bent else p3
+    theta3 = math.atan2(outward, ahead) if bent else before[2]
 
-    here1 = _turned(theta1, p1, USUAL_RANGE[0], weight)
-    here2 = _turned(theta2, p2, USUAL_RANGE[1], weight)
-    here3 = _turned(theta3, p3, USUAL_RANGE[2], weight)
-    there1 = _turned(theta1 + math.pi, p1, USUAL_RANGE[0], weight)
-    there2 = _turned(math.pi - theta2, p2, USUAL_RANGE[1], weight)
-    there3 = _turned(theta3 + math.pi, p3, USUAL_RANGE[2], weight) if bent else here3
-
-    gain = (here1 - p1) ** 2 + (here2 - p2) ** 2 - (there1 - p1) ** 2 - (there2 - p2) ** 2
-    gain += weight * (_beyond(here1, USUAL_RANGE[0]) + _beyond(here2, USUAL_RANGE[1]))
-    gain -= weight * (_beyond(there1, USUAL_RANGE[0]) + _beyond(there2, USUAL_RANGE[1]))
-    if bent:
-        gain -= 4.0 * theta4 * p4 * math.cos(here3 - p3)
-        rotated = _beyond(here3, USUAL_RANGE[2]) - _beyond(there3, USUAL_RANGE[2])
-        gain += weight * theta4 * theta4 * rotated
-    if math.isnan(across):
-        here3, there3 = math.nan, math.nan
-    if gain > 0.0:
-        return there1, there2, there3, theta4
-    return here1, here2, here3, theta4
+    bend = theta4 if bent else 0.0
+    here = _branch((theta1, theta2, theta3), bend, before, weight)
+    there = (theta1 + math.pi, math.pi - theta2, theta3 + math.pi if bent else theta3)
+    there = _branch(there, bend, before, weight)
+    theta1, theta2, theta3, _ = there if there[3] < here[3] else here
+    return theta1, theta2, math.nan if math.isnan(across) else theta3, theta4
 
 
 @njit(cache=True)
@@ -273,12 +264,7 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, o
 @njit(cache=True)
 @no_type_check
 def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
-    """The six points of a posture (kernel).
-
-    Args:
-        posture: (18,).
-        out: (6, 3) receives the points in the reference torso frame [m].
-    """
+    """Writes the six points (6, 3) of a posture (18,), in the reference torso frame [m] (kernel)."""
     sy, cy = math.sin(posture[3]), math.cos(posture[3])
     sr, cr = math.sin(posture[4]), math.cos(posture[4])
     half = 0.5 * posture[5]
@@ -354,11 +340,7 @@ def postures_from_points(
 def points_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarray, "*batch 6 3"]:
     """Points of postures: shoulders p ± d/2, elbows L1·R u from them, wrists L2·R f from the elbows.
 
-    Args:
-        postures: (…, 18).
-
-    Returns:
-        (…, 6, 3) points in the reference torso frame [m], in the order of `ARM_JOINTS`.
+    Returns (…, 6, 3) points in the reference torso frame [m], in the order of `ARM_JOINTS`.
     """
     flat = np.ascontiguousarray(postures, dtype=np.float64).reshape(-1, 18)
     out = np.empty((len(flat), 6, 3))
@@ -369,12 +351,7 @@ def points_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.n
 def to_world(
     postures: Float[np.ndarray, "*batch 18"], rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "*batch 6 3"]:
-    """R · points_from_postures(postures) + o: (…, 6, 3) arms [m] in the world.
-
-    Args:
-        postures: (…, 18) postures.
-        rotation, origin: of the reference torso frame in the world [m].
-    """
+    """R · points_from_postures(postures) + o: (…, 6, 3) arms [m] in the world, of whose torso R and o are."""
     return transformed(points_from_postures(postures), rotation, origin)
 
 
@@ -383,20 +360,10 @@ def log_det_jacobian(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarr
 
     The density of points is that of postures divided by this determinant.
 
-    Args:
-        postures: (…, 18) postures.
-
-    Returns:
-        (…) natural logarithm; −inf at a straight elbow, a sideways arm or an upright shoulder line.
+    The result (…) is −inf at a straight elbow, a sideways arm or an upright shoulder line.
     """
-    factors = np.concatenate(
-        [
-            postures[..., list(2 * LENGTHS)],
-            np.cos(postures[..., [4, 7, 13]]),
-            np.sin(postures[..., [9, 15]]),
-        ],
-        axis=-1,
-    )
+    lengths, cosines, sines = postures[..., list(2 * LENGTHS)], postures[..., [4, 7, 13]], postures[..., [9, 15]]
+    factors = np.concatenate([lengths, np.cos(cosines), np.sin(sines)], axis=-1)
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(np.abs(factors)).sum(axis=-1))
 

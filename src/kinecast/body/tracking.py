@@ -92,17 +92,14 @@ LIMITS = TrackingLimits()
 
 
 class WindowRepair(NamedTuple):
-    """Windows made whole, and how.
-
-    Attributes:
-        positions: (…, N, J, 3) [m]; NaN only in joints a whole window never saw.
-        touched: (…, N, J) True where a value is not the measured one.
-        trouble: (…, J) `Trouble` flags.
-    """
+    """Windows made whole, and how."""
 
     positions: Float[np.ndarray, "*w N J 3"]
+    """[m]; NaN only in joints a whole window never saw."""
     touched: Bool[np.ndarray, "*w N J"]
+    """True where a value is not the measured one."""
     trouble: UInt8[np.ndarray, "*w J"]
+    """`Trouble` flags."""
 
 
 def find_flaws(
@@ -210,7 +207,7 @@ def _trouble(flaws: Int8[np.ndarray, "W N J"]) -> UInt8[np.ndarray, "W J"]:
 @njit(cache=True)
 @no_type_check
 def _apart(p: np.ndarray, a: int, b: int, c: int, e: int, scale: float) -> float:
-    """How far the step a → b is from `scale` times the step c → e [m]."""
+    """How far the step a → b is from `scale` times the step c → e [m]; from no step for c = e."""
     total = 0.0
     for d in range(3):
         total += (p[b, d] - p[a, d] - scale * (p[e, d] - p[c, d])) ** 2
@@ -224,7 +221,7 @@ def _is_jolt(p: np.ndarray, stamps: np.ndarray, sound: np.ndarray, m: int, limit
     max_speed, max_acceleration, min_jump, _ = limits
     a, b = sound[m - 1], sound[m]
     dt = stamps[b] - stamps[a]
-    if _apart(p, a, b, a, b, 0.0) > min_jump + max_speed * dt:
+    if _apart(p, a, b, a, a, 1.0) > min_jump + max_speed * dt:
         return True
     least = min_jump + max_acceleration * dt * dt
     for c in (m - 2, m):
@@ -239,8 +236,8 @@ def _is_jolt(p: np.ndarray, stamps: np.ndarray, sound: np.ndarray, m: int, limit
 @no_type_check
 def _returns(p: np.ndarray, a: int, b: int, c: int, e: int) -> bool:
     """Whether the step c → e takes back the step a → b, or ends near a, to half of the larger step."""
-    rest = min(_apart(p, a, b, c, e, -1.0), _apart(p, a, e, a, e, 0.0))
-    return 2.0 * rest <= max(_apart(p, a, b, a, b, 0.0), _apart(p, c, e, c, e, 0.0))
+    rest = min(_apart(p, a, b, c, e, -1.0), _apart(p, a, e, a, a, 1.0))
+    return 2.0 * rest <= max(_apart(p, a, b, a, a, 1.0), _apart(p, c, e, c, c, 1.0))
 
 
 @njit(cache=True)

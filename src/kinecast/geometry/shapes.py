@@ -52,12 +52,7 @@ class Shape(ABC):
 
 @dataclass(frozen=True, eq=False)
 class HalfSpace(Shape):
-    """Everything behind a plane: n · (p − point) < 0.
-
-    Attributes:
-        point: (3,) any point of the plane [m].
-        normal: (3,) pointing to the free side; scaled to length one.
-    """
+    """Everything behind a plane through a point (3,) [m]: n · (p − point) < 0, with the normal scaled to length one."""
 
     point: Float[np.ndarray, " 3"]
     normal: Float[np.ndarray, " 3"]
@@ -76,13 +71,7 @@ class HalfSpace(Shape):
 
 @dataclass(frozen=True, eq=False)
 class Box(Shape):
-    """A box at any angle.
-
-    Attributes:
-        center: (3,) [m].
-        size: (3,) full lengths along its own axes [m].
-        rotation: (3, 3) whose columns are the box's axes in the world.
-    """
+    """A box: center (3,) [m], full lengths (3,) along its own axes [m], these axes in the world as columns (3, 3)."""
 
     center: Float[np.ndarray, " 3"]
     size: Float[np.ndarray, " 3"]

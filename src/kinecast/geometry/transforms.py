@@ -2,19 +2,15 @@
 
 `T_world_torso` carries a point from the torso frame into the world: p_world = T_world_torso · p_torso, and
 transforms compose by `@`: T_world_hand = T_world_torso @ T_torso_hand. Quaternions are w, x, y, z.
+SciPy's rotations are imported when first used: they take a quarter of a second, and predicting needs none.
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 
 def transform(
@@ -75,40 +71,41 @@ def _about(angle: Float[np.ndarray, "*batch"] | float, axis: int) -> Float[np.nd
     return R
 
 
-def _rotations() -> type[Rotation]:
-    """SciPy's rotations, imported when first used: they take a quarter of a second, and predicting needs none."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation
-
-
 def from_quaternion(wxyz: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
     """(…, 3, 3) rotation matrices of (…, 4) quaternions w, x, y, z of any length but zero.
 
     Raises:
         OptionError: a quaternion of length zero or with a NaN.
     """
+    from scipy.spatial.transform import Rotation
+
     if not np.all(np.linalg.norm(wxyz, axis=-1) > 0):
         raise OptionError("a quaternion of length zero or NaN is no rotation")
-    flat = _rotations().from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
+    flat = Rotation.from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
     return flat.reshape(*wxyz.shape[:-1], 3, 3)
 
 
 def to_quaternion(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
     """(…, 4) unit quaternions w, x, y, z with w ≥ 0 of (…, 3, 3) rotation matrices."""
-    flat = _rotations().from_matrix(rotation.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    from scipy.spatial.transform import Rotation
+
+    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return flat.reshape(*rotation.shape[:-2], 4)
 
 
 def from_rotation_vector(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """exp: (…, 3) rotation vectors (axis times angle) [rad] to (…, 3, 3) matrices."""
-    flat = _rotations().from_rotvec(vector.reshape(-1, 3)).as_matrix()
+    from scipy.spatial.transform import Rotation
+
+    flat = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
     return flat.reshape(*vector.shape[:-1], 3, 3)
 
 
 def rotation_vector(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3"]:
     """log: (…, 3, 3) rotation matrices to (…, 3) rotation vectors [rad], no longer than π."""
-    flat = _rotations().from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
+    from scipy.spatial.transform import Rotation
+
+    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
     return flat.reshape(*rotation.shape[:-2], 3)
 
 
