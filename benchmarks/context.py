@@ -45,6 +45,7 @@ from kinecast.pipeline import every_frame, followed, observations, training_wind
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.goals import HANDS, WRISTS
 from kinecast.prediction.kinecast.method import Horizon
+from kinecast.prediction.kinecast.training import HorizonOptions, fit_actions
 from kinecast.prediction.methods import (
     TrainingOptions,
     card_of,
@@ -52,7 +53,6 @@ from kinecast.prediction.methods import (
     save_method,
     shipped_methods,
     train,
-    with_actions,
 )
 
 OPTIONS = WindowOptions()
@@ -250,7 +250,8 @@ def model_of(recordings: Sequence[Recording], path: Path) -> tuple[Horizon, Hori
     if not path.exists():
         data, settings = training_windows(recordings, OPTIONS), TrainingOptions()
         general = train(["kinecast"], data, settings)["kinecast"]
-        whole = with_actions(general, training_windows_by_action(recordings, OPTIONS), settings)
+        actions = fit_actions(training_windows_by_action(recordings, OPTIONS), HorizonOptions(seed=settings.seed))
+        whole = replace(general, mixture=replace(general.mixture, actions=actions))
         save_method(path, card_of("kinecast", whole, data, settings, "", [each.name for each in recordings]), whole)
     card, method = read_method(path)
     if set(card.trained_on) != {each.name for each in recordings}:

@@ -146,15 +146,6 @@ class TestTrain:
         assert recording.labels is not None
         assert carrying.windows <= recording.labels.count("Ca") < everything.windows
 
-    def test_a_model_per_action_is_the_method_kinecasts(
-        self, kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path
-    ) -> None:
-        for options in (("--method", "ridge"), ("--label", "Ca")):
-            outcome = kinecast("train", tables[0], "--per-action", *options, "--out", tmp_path / "model.npz")
-            assert outcome.code != 0
-            assert "--per-action goes with the method kinecast, and without --label" in outcome.err
-        assert not (tmp_path / "model.npz").exists()
-
 
 class TestEvaluate:
     def test_leaves_four_files_and_no_other(self, evaluation: Path) -> None:

@@ -14,12 +14,12 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
-from kinecast.prediction.checkpoint import ModelCard
 from kinecast.prediction.forecast import Method
 from kinecast.prediction.kinecast.ablation import ablations
 from kinecast.prediction.kinecast.method import Horizon
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
-from kinecast.prediction.outside import is_outside, trained_outside_on
+from kinecast.prediction.model_file import ModelCard
+from kinecast.prediction.plugins import is_plugin, train_plugin
 from kinecast.tasks.workers import Workers
 
 __all__ = ["Contestants", "method_names", "read_models", "train_methods", "warn_of_known", "with_ablations"]
@@ -49,7 +49,7 @@ def method_names(text: str) -> list[str]:
         OptionError: one of them is no method.
     """
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    own = [name for name in names if not is_outside(name)]
+    own = [name for name in names if not is_plugin(name)]
     if own or not names:
         check_names(own)
     return names
@@ -71,7 +71,7 @@ def train_methods(
     with progress_bar("cutting windows") as progress:
         data = training_windows(recordings, options, scene, progress, workers)
     settings = TrainingOptions(seed=seed)
-    methods = {name: trained_outside_on(name, data) for name in names if is_outside(name)}
+    methods = {name: train_plugin(name, data) for name in names if is_plugin(name)}
     with progress_bar("training") as progress:
         methods |= train([name for name in names if name not in methods], data, settings, progress, workers)
     methods = {name: methods[name] for name in names}

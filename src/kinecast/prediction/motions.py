@@ -1,6 +1,6 @@
 """Whole motions drawn from the spread and moved inside joint limits: one pass over the samples.
 
-Samples go side by side in lanes, as in kinecast.prediction.lanes: a loop without branches takes a block of them to arm
+Samples go side by side in lanes: a loop without branches takes a block of them to arm
 angles, and finds out which lie inside their bounds. Only what lies outside is drawn anew, one by one. All that a block
 works on is one flat array with rows at places known to the compiler, which then sees that no row overlaps another.
 """
@@ -24,13 +24,14 @@ from kinecast.body.posture import (
     posture_of_points,
     postures_from_points,
 )
-from kinecast.prediction.draws import hashed
-from kinecast.prediction.lanes import LANES
+from kinecast.prediction.draws import hashed, hashed_uniform
 from kinecast.prediction.noise import angle_noise
-from kinecast.prediction.truncated_normal import draw
+from kinecast.prediction.truncated_normal import sample
 
 __all__ = ["draw_motions"]
 
+LANES = 64
+"""Samples side by side."""
 STRIP = 6
 """Columns of the factor taken in one go."""
 ROWS = 92
@@ -333,7 +334,7 @@ def _bounded(
     if lb <= angle <= ub:
         return angle
     about = centre if k % 4 == 3 else nearest_turn(centre, before)
-    return draw(hashed(seed, number + np.uint64(k)), about, spread, lb, ub)
+    return sample(hashed_uniform(hashed(seed, number + np.uint64(k)), np.uint64(0)), about, spread, lb, ub)
 
 
 @njit(cache=True, forceinline=True)

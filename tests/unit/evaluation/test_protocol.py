@@ -17,9 +17,9 @@ from kinecast.evaluation.metrics import LEVELS
 from kinecast.evaluation.protocol import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
-from kinecast.prediction.baselines import constant_velocity, zero_velocity
 from kinecast.prediction.forecast import Forecast, WorldDensity
 from kinecast.prediction.gaussian import PositionGaussian
+from kinecast.prediction.linear import constant_velocity, zero_velocity
 from kinecast.prediction.observation import Observation
 
 DT, N, T = 0.1, 4, 3

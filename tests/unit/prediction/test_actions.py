@@ -15,11 +15,11 @@ from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ModelError, OptionError
 from kinecast.pipeline import training_windows_by_action
-from kinecast.prediction.checkpoint import ModelCard, write_checkpoint
 from kinecast.prediction.kinecast.actions import Actions
 from kinecast.prediction.kinecast.method import Horizon
 from kinecast.prediction.kinecast.training import HorizonOptions, fit_actions
-from kinecast.prediction.methods import TrainingOptions, read_method, save_method, shipped_methods, train, with_actions
+from kinecast.prediction.methods import read_method, save_method, shipped_methods
+from kinecast.prediction.model_file import ModelCard, write_model_file
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 SMALL = HorizonOptions(pseudo_inputs=12, network_steps=20, folds=2, networks=1)
@@ -116,7 +116,7 @@ def labels(text: str) -> np.ndarray:
 def test_a_malformed_file_is_refused(horizon: Horizon, card: ModelCard, tmp_path: Path, broken: Break) -> None:
     arrays = dict(horizon.to_arrays())
     broken(arrays)
-    write_checkpoint(tmp_path / "model.npz", card, arrays)
+    write_model_file(tmp_path / "model.npz", card, arrays)
     with pytest.raises(ModelError):
         read_method(tmp_path / "model.npz")
 
@@ -152,12 +152,6 @@ def test_each_action_learns_from_its_own_windows(windows: TrainingWindows) -> No
     errors = np.linalg.norm(actions.forecasts(windows.observed, 3) - windows.future[:, None], axis=-1).mean(axis=(2, 3))
     assert errors[:half, 0].mean() < errors[:half, 1].mean()
     assert errors[half:, 1].mean() < errors[half:, 0].mean()
-
-
-def test_other_methods_have_no_actions(windows: TrainingWindows) -> None:
-    still = train(["zero_velocity"], windows, TrainingOptions())["zero_velocity"]
-    with pytest.raises(OptionError, match="go with the method kinecast"):
-        with_actions(still, {"lift": windows}, TrainingOptions())
 
 
 def test_labels_are_plain_json(horizon: Horizon) -> None:

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.prediction.descent import descend
-from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
+from kinecast.prediction.descent import descend, jax_in_one_thread
 from kinecast.prediction.kinecast.features import FeatureScale, arm_views, time_basis
 from kinecast.prediction.kinecast.learned import COMPONENTS, Network, RadialBasis, kernel_inputs
-from kinecast.prediction.training import centres
+from kinecast.prediction.sparse_gp import centres
 
 __all__ = ["Examples", "fit_network", "fit_radial_basis"]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.prediction.descent import descend
-from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
+from kinecast.prediction.descent import descend, jax_in_one_thread
 from kinecast.prediction.kinecast.gate import JOINT_TYPE, Gate, step_basis
 
 __all__ = ["fit_gate"]

@@ -1,4 +1,4 @@
-"""Methods from elsewhere, named MODULE:FUNCTION: imported, called, and held to what every method must do.
+"""Plug-ins, methods of the user's own named MODULE:FUNCTION: imported, called, held to what every method must do.
 
 Naming one runs its code, as Python's own `-m` does; nothing in a model file ever is.
 """
@@ -19,7 +19,7 @@ from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_wi
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.tasks.workers import CARRIED
 
-__all__ = ["is_outside", "trained_outside", "trained_outside_on"]
+__all__ = ["is_plugin", "load_plugin", "train_plugin"]
 
 NAME = re.compile(r"[\w.]+:[^\W\d]\w*")
 SAMPLES = 8
@@ -27,12 +27,12 @@ STANDING = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1
 """(6, 3) somebody who stands [m]."""
 
 
-def is_outside(name: str) -> bool:
+def is_plugin(name: str) -> bool:
     """Whether a name is MODULE:FUNCTION, and no file."""
     return NAME.fullmatch(name) is not None and not os.path.exists(name)
 
 
-def trained_outside(name: str) -> Method:
+def load_plugin(name: str) -> Method:
     """What a function without arguments gives: a trained method.
 
     Args:
@@ -45,7 +45,7 @@ def trained_outside(name: str) -> Method:
     return _checked(_function(name)(), name)
 
 
-def trained_outside_on(name: str, windows: TrainingWindows) -> Method:
+def train_plugin(name: str, windows: TrainingWindows) -> Method:
     """What a function makes of training windows: a method for windows like them.
 
     Args:
@@ -53,7 +53,7 @@ def trained_outside_on(name: str, windows: TrainingWindows) -> Method:
         windows: to train on.
 
     Raises:
-        OptionError, ModelError: as `trained_outside`; or it is for other windows.
+        OptionError, ModelError: as `load_plugin`; or it is for other windows.
     """
     method = _function(name)(windows)
     frames, steps, dt = windows.shape
