@@ -17,8 +17,8 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, HalfSpace, Shape, Sphere
 from kinecast.pipeline import training_windows
-from kinecast.prediction.baselines import constant_velocity
 from kinecast.prediction.gaussian import PostureGaussian
+from kinecast.prediction.linear import constant_velocity
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.paper import PostureSeries

@@ -15,10 +15,10 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
-from kinecast.prediction.method import Method
 from kinecast.prediction.kinecast.model import Kinecast, ablations
+from kinecast.prediction.method import Method
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
-from kinecast.prediction.outside import is_outside, trained_outside_on
+from kinecast.prediction.plugins import is_plugin, train_plugin
 from kinecast.tasks.workers import Workers
 
 
@@ -57,7 +57,7 @@ class MethodSet:
 def method_names(text: str) -> list[str]:
     """Names with commas between them, each once; OptionError if one is no method. MODULE:FUNCTION is one too."""
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    own = [name for name in names if not is_outside(name)]
+    own = [name for name in names if not is_plugin(name)]
     if own or not names:
         check_names(own)
     return names
@@ -79,7 +79,7 @@ def train_methods(
     with progress_bar("cutting windows") as progress:
         data = training_windows(recordings, options, scene, progress, workers)
     settings = TrainingOptions(seed=seed)
-    methods = {name: trained_outside_on(name, data) for name in names if is_outside(name)}
+    methods = {name: train_plugin(name, data) for name in names if is_plugin(name)}
     with progress_bar("training") as progress:
         methods |= train([name for name in names if name not in methods], data, settings, progress, workers)
     methods = {name: methods[name] for name in names}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -36,7 +36,6 @@ LIMITS = ("position", "speed", "scene")
 
 BOOTSTRAP_BLOCK = 5.0
 """Windows within this time of one another [s] are drawn together for standard errors."""
-
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,10 @@ def evaluate(
 
 
 def warm_up(
-    methods: Mapping[str, Method[Any]], recordings: Sequence[TestRecording], scene: Scene | None, options: EvaluationOptions
+    methods: Mapping[str, Method[Any]],
+    recordings: Sequence[TestRecording],
+    scene: Scene | None,
+    options: EvaluationOptions,
 ) -> None:
     """Scores each method on the first window, which there must be, so that everything is compiled."""
     for method in methods.values():

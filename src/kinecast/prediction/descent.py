@@ -1,18 +1,50 @@
-"""Stochastic gradient descent (Adam, cosine rate, decoupled decay), compiled as one loop (JAX)."""
+"""JAX for training: one thread, and stochastic gradient descent (Adam, cosine rate, decoupled decay) as one loop."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from functools import cache
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
+from kinecast.errors import MissingExtraError
 
-__all__ = ["descend"]
+__all__ = ["descend", "jax_in_one_thread"]
 
 FIRST = 0.9
 WARM_UP = 50
+
+
+def jax_in_one_thread() -> ModuleType:
+    """JAX, its CPU backend started with one thread unless the program had started it before.
+
+    Sums over several threads would depend on their number, and these fits gain nothing from more.
+
+    Raises:
+        MissingExtraError: JAX is not installed.
+    """
+    try:
+        import jax
+    except ImportError as error:
+        raise MissingExtraError("training", "train") from error
+    _start(jax)
+    return jax
+
+
+@cache
+def _start(jax: ModuleType) -> None:
+    before = os.environ.get("NPROC")
+    os.environ["NPROC"] = "1"  # read once, by XLA, when its CPU backend starts
+    try:
+        jax.local_devices(backend="cpu")
+    finally:
+        if before is None:
+            del os.environ["NPROC"]
+        else:
+            os.environ["NPROC"] = before
 
 
 def descend(

@@ -1,15 +1,14 @@
 """Methods whose forecast is one Gaussian over all steps and coordinates: a mean model and its residual covariance.
 
-`PositionGaussian` states it over the joints' positions, `PostureGaussian` over the smooth posture coordinates, where
-the constraint stage can act. Any mean model (kinecast.prediction.baselines) fits into either.
+`PositionGaussian` states it over the joints' positions, `PostureGaussian` over the smooth posture coordinates; either
+can be held inside joint limits and scene. Any mean model (kinecast.prediction.linear) fits into both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,32 +20,36 @@ from kinecast.body.posture import (
     postures_from_coordinates,
     postures_from_points,
 )
-from kinecast.geometry.scene import Scene
-from kinecast.prediction.allowance import Allowance
-from kinecast.prediction.arrays import covariance_factor
-from kinecast.prediction.baselines import MeanModel, mean_from_arrays
-from kinecast.prediction.density import JOINT_ORDER, CoordinateGaussianDensity, PositionGaussianDensity
-from kinecast.prediction.draws import normals
-from kinecast.prediction.forecast import Forecast, WorldDensity, within_scene
-from kinecast.prediction.motions import draw_motions
+from kinecast.prediction.constraint import ConstraintFactor
+from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
+from kinecast.prediction.linear import MeanModel, mean_from_arrays
+from kinecast.prediction.method import Forecast, Memoryless
+from kinecast.prediction.model_file import covariance_factor
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import roll_gaussian
+from kinecast.prediction.sampling import sample_motions
 from kinecast.tasks.workers import Serial, Workers
 
 __all__ = [
     "Examples",
+    "Fit",
     "PositionGaussian",
     "PostureGaussian",
     "position_examples",
-    "posture_coordinates",
     "posture_examples",
     "residual_factor",
     "residual_moment",
 ]
 
+G = TypeVar("G", bound="_Gaussian")
+
 Fit = Callable[[Float[np.ndarray, "W N D"], Float[np.ndarray, "W T D"], Int[np.ndarray, " W"]], MeanModel]
 """Fits a mean model to windows, futures and folds."""
+
+FLOOR = 1e-3
+"""Least spread of a residual [m or rad]: a millimetre."""
+FOLDS = 4
 
 
 class Examples(NamedTuple):
@@ -57,11 +60,18 @@ class Examples(NamedTuple):
     folds: Int[np.ndarray, " W"]
 
 
-FLOOR = 1e-3
-"""Least spread of a residual [m or rad]: a millimetre."""
-FOLDS = 4
-POSITION_ORDER = np.arange(18).reshape(6, 3)[JOINT_ORDER].ravel()
-"""The 18 coordinates of the joints in block order."""
+def position_examples(windows: TrainingWindows) -> Examples:
+    """Positions in the torso frame as 18 coordinates [m]."""
+    observed, future = (points.reshape(*points.shape[:2], 18) for points in (windows.points, windows.future_points))
+    return Examples(observed, future, windows.folds(FOLDS))
+
+
+def posture_examples(windows: TrainingWindows) -> Examples:
+    """Smooth posture coordinates, continuous from one frame to the next."""
+    tracks = np.concatenate([windows.points, windows.future_points], axis=1)
+    coordinates = coordinates_from_postures(postures_from_points(tracks, continuous=True))
+    frames = windows.points.shape[1]
+    return Examples(coordinates[:, :frames], coordinates[:, frames:], windows.folds(FOLDS))
 
 
 def residual_moment(fit: Fit, examples: Examples, fold: int) -> tuple[Float[np.ndarray, "K K"], int]:
@@ -79,15 +89,8 @@ def residual_factor(moments: Sequence[tuple[Float[np.ndarray, "K K"], int]]) -> 
     return np.linalg.cholesky(moment + FLOOR**2 * np.eye(len(moment)))
 
 
-def fit_all(fit: Fit, examples: Examples) -> MeanModel:
-    """The mean model of all examples."""
-    return fit(examples.observed, examples.future, examples.folds)
-
-
-def _fitting(workers: Workers, fit: Fit, examples: Any, folds: Int[np.ndarray, " W"]) -> tuple[Any, Any]:
-    """What stands for a mean model, and for the factor of its errors' covariance."""
-    moments = [workers.submit(residual_moment, fit, examples, fold) for fold in np.unique(folds).tolist()]
-    return workers.submit(fit_all, fit, examples), workers.submit(residual_factor, moments)
+def _fit_all(fit: Fit, examples: Examples) -> MeanModel:
+    return fit(*examples)
 
 
 def with_noise(cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"]) -> Float[np.ndarray, "K K"]:
@@ -104,17 +107,13 @@ def with_noise(cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"
     return np.linalg.cholesky(cholesky @ cholesky.T + shared)
 
 
-def _step_factors(cholesky: Float[np.ndarray, "K K"], order: Int[np.ndarray, "18"]) -> Float[np.ndarray, "T 18 18"]:
-    """Cholesky factor of each step's marginal covariance, coordinates reordered."""
-    rows = cholesky.reshape(-1, 18, cholesky.shape[1])[:, order]
-    return np.linalg.cholesky(rows @ rows.transpose(0, 2, 1))
-
-
 @dataclass(frozen=True)
-class PositionGaussian:
-    """A Gaussian over the joints' positions in the torso frame, free or held inside joint limits and scene.
+class _Gaussian(Memoryless):
+    """A mean model of D = 18 coordinates and the covariance of its errors.
 
     Attributes:
+        mean_model: gives the expected coordinates.
+        cholesky: (18 T, 18 T) lower factor of the errors' covariance, steps outermost.
         noise: spread of a measured joint about the true one [m], for the density of measurements.
         limits: range and speed of the arm's angles; None leaves the Gaussian as it is and disregards the scene.
     """
@@ -127,183 +126,114 @@ class PositionGaussian:
     noise: float = 0.0
     limits: JointLimits | None = None
 
-    @staticmethod
-    def fitting(workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any) -> Any:
-        """Mean model and residual covariance from training windows; stands for the method.
+    @classmethod
+    def fit(
+        cls: type[G], fit: Fit, windows: TrainingWindows, noise: float = 0.0, limits: JointLimits | None = None
+    ) -> G:
+        """Mean model and residual covariance from training windows."""
+        workers = Serial()
+        examples = workers.submit(cls.examples, windows)
+        [method] = workers.results([cls.fitting(workers, fit, windows, examples, noise)])
+        return replace(method, limits=limits)
+
+    @classmethod
+    def fitting(cls, workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any, noise: float) -> Any:
+        """The same by workers, without limits.
 
         Args:
             workers: that fit.
             fit: how the mean model is fitted.
             windows: of training.
-            examples: stands for their `position_examples`.
+            examples: stands for their `examples`.
+            noise: spread of a measured joint about the true one [m].
+
+        Returns:
+            What stands for the method.
         """
-        model, cholesky = _fitting(workers, fit, examples, windows.folds(FOLDS))
-        return workers.submit(PositionGaussian, *windows.shape, model, cholesky)
+        folds = np.unique(windows.folds(FOLDS)).tolist()
+        moments = [workers.submit(residual_moment, fit, examples, fold) for fold in folds]
+        model, cholesky = workers.submit(_fit_all, fit, examples), workers.submit(residual_factor, moments)
+        return workers.submit(cls, *windows.shape, model, cholesky, noise)
 
-    @cached_property
-    def _step_cholesky(self) -> Float[np.ndarray, "T 18 18"]:
-        return _step_factors(self.cholesky, POSITION_ORDER)
+    @staticmethod
+    def examples(windows: TrainingWindows) -> Examples:
+        """The coordinates of training windows."""
+        raise NotImplementedError
 
-    def with_limits(self, limits: JointLimits, noise: float) -> PositionGaussian:
-        """The same Gaussian, constrained."""
-        return replace(self, limits=limits, noise=noise)
-
-    def forecast(
-        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
-    ) -> Forecast:
-        """See kinecast.prediction.forecast.Method; without limits the scene is disregarded."""
-        window = observation.points.reshape(1, self.frames, 18)
-        mean = self.mean_model.mean(window)[0].reshape(self.steps, 6, 3)
-        cholesky, step_cholesky = self.cholesky, self._step_cholesky
-        if observation.noise.any():
-            cholesky = with_noise(cholesky, np.repeat(observation.noise, 3))
-            step_cholesky = _step_factors(cholesky, POSITION_ORDER)
-        draws = normals(rng, len(cholesky), samples)
-        factor = cholesky.reshape(self.steps, 6, 3, -1)
-        initial = postures_from_points(observation.points, continuous=True)[-1]
-        motions = draw_motions(mean, factor, draws, rng, initial, self.limits, self.dt, *observation.frame)
-        allowance = None
-        if self.limits is not None:
-
-            def free() -> Float[np.ndarray, "S T 6 3"]:
-                return mean + (cholesky @ draws).T.reshape(samples, self.steps, 6, 3)
-
-            allowance = Allowance(free, observation, initial, self.limits, scene, self.noise)
-        forecast = Forecast(
-            motions,
-            observation.to_world(mean),
-            WorldDensity(observation, PositionGaussianDensity(mean, step_cholesky, allowance)),
-            np.ones(self.steps),
-            samples,
-        )
-        if self.limits is None or scene is None:
-            return forecast
-        return within_scene(forecast, observation, rng, scene)
+    def with_limits(self: G, limits: JointLimits | None) -> G:
+        """The same Gaussian, constrained or free."""
+        return replace(self, limits=limits)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
+        """Plain arrays for a model file."""
         return {**self.mean_model.to_arrays(), "cholesky": self.cholesky}
 
-    @staticmethod
+    @classmethod
     def from_arrays(
-        arrays: Mapping[str, np.ndarray],
-        frames: int,
-        steps: int,
-        dt: float,
-        noise: float = 0.0,
-        limits: JointLimits | None = None,
-    ) -> PositionGaussian:
-        """The method that `to_arrays` described."""
-        cholesky = covariance_factor(arrays, "cholesky", 18 * steps)
-        return PositionGaussian(frames, steps, dt, mean_from_arrays(arrays, frames, steps, 18), cholesky, noise, limits)
-
-
-def posture_coordinates(
-    observed: Float[np.ndarray, "W N 6 3"], future: Float[np.ndarray, "W T 6 3"]
-) -> tuple[Float[np.ndarray, "W N 18"], Float[np.ndarray, "W T 18"]]:
-    """Smooth posture coordinates of windows and futures, continuous from one frame to the next."""
-    both = np.concatenate([observed, future], axis=1)
-    coordinates = np.stack([coordinates_from_postures(postures_from_points(track, continuous=True)) for track in both])
-    return coordinates[:, : observed.shape[1]], coordinates[:, observed.shape[1] :]
-
-
-def position_examples(windows: TrainingWindows) -> Examples:
-    """Positions in the torso frame as 18 coordinates [m]."""
-    observed, future = (points.reshape(*points.shape[:2], 18) for points in (windows.points, windows.future_points))
-    return Examples(observed, future, windows.folds(FOLDS))
-
-
-def posture_examples(windows: TrainingWindows) -> Examples:
-    """Smooth posture coordinates."""
-    return Examples(*posture_coordinates(windows.points, windows.future_points), windows.folds(FOLDS))
-
-
-@dataclass(frozen=True)
-class PostureGaussian:
-    """A Gaussian over the smooth posture coordinates, free or held inside joint limits and scene.
-
-    Attributes:
-        limits: range and speed of the arm's angles; None leaves the Gaussian as it is and disregards the scene.
-        noise: spread of a measured joint about the true one [m], for the density of measurements.
-    """
-
-    frames: int
-    steps: int
-    dt: float
-    mean_model: MeanModel
-    cholesky: Float[np.ndarray, "K K"]
-    noise: float
-    limits: JointLimits | None = None
-
-    @staticmethod
-    def fit(fit: Fit, windows: TrainingWindows, noise: float, limits: JointLimits | None) -> PostureGaussian:
-        """Mean model and residual covariance from training windows."""
-        workers = Serial()
-        examples = workers.submit(posture_examples, windows)
-        [method] = workers.results([PostureGaussian.fitting(workers, fit, windows, examples, noise, limits)])
-        return method
-
-    @staticmethod
-    def fitting(
-        workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any, noise: float, limits: JointLimits | None
-    ) -> Any:
-        """The same by workers; `examples` stands for the windows' `posture_examples`, the result for the method."""
-        model, cholesky = _fitting(workers, fit, examples, windows.folds(FOLDS))
-        return workers.submit(PostureGaussian, *windows.shape, model, cholesky, noise, limits)
-
-    @cached_property
-    def _step_cholesky(self) -> Float[np.ndarray, "T 18 18"]:
-        return _step_factors(self.cholesky, np.arange(18))
-
-    def forecast(
-        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
-    ) -> Forecast:
-        """See kinecast.prediction.forecast.Method."""
-        track = postures_from_points(observation.points, continuous=True)
-        mean = self.mean_model.mean(coordinates_from_postures(track)[None])[0]
-        cholesky, step_cholesky = self.cholesky, self._step_cholesky
-        if observation.noise.any():
-            cholesky = with_noise(cholesky, coordinate_noise(track[-1], observation.noise))
-            step_cholesky = _step_factors(cholesky, np.arange(18))
-        draws = rng.standard_normal((samples, len(cholesky)))
-        uniforms = rng.random((samples, self.steps, 8))
-        postures = roll_gaussian(mean, cholesky, track[-1], draws, uniforms, *posture_bounds(self.limits), self.dt)
-        points = points_from_postures(postures)
-        centre = points_from_postures(postures_from_coordinates(mean))
-        allowance = None
-        if self.limits is not None:
-
-            def free_poses() -> Float[np.ndarray, "S T 6 3"]:
-                free = mean + (draws @ cholesky.T).reshape(samples, self.steps, 18)
-                return points_from_postures(postures_from_coordinates(free))
-
-            allowance = Allowance(free_poses, observation, track[-1], self.limits, scene, self.noise)
-        density = CoordinateGaussianDensity(mean, step_cholesky, centre, allowance)
-        forecast = Forecast(
-            observation.to_world(points),
-            observation.to_world(points.mean(axis=0)),
-            WorldDensity(observation, density),
-            np.ones(self.steps),
-            samples,
-        )
-        if self.limits is not None and scene is not None:
-            return within_scene(forecast, observation, rng, scene)
-        return forecast
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
-        return {**self.mean_model.to_arrays(), "cholesky": self.cholesky}
-
-    @staticmethod
-    def from_arrays(
+        cls: type[G],
         arrays: Mapping[str, np.ndarray],
         frames: int,
         steps: int,
         dt: float,
         noise: float,
         limits: JointLimits | None,
-    ) -> PostureGaussian:
+    ) -> G:
         """The method that `to_arrays` described."""
         cholesky = covariance_factor(arrays, "cholesky", 18 * steps)
-        mean_model = mean_from_arrays(arrays, frames, steps, 18)
-        return PostureGaussian(frames, steps, dt, mean_model, cholesky, noise, limits)
+        return cls(frames, steps, dt, mean_from_arrays(arrays, frames, steps, 18), cholesky, noise, limits)
+
+
+@dataclass(frozen=True)
+class PositionGaussian(_Gaussian):
+    """A Gaussian over the joints' positions in the torso frame, free or held inside joint limits and scene."""
+
+    examples = staticmethod(position_examples)
+
+    def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
+        """See kinecast.prediction.method.Method."""
+        mean = self.mean_model.mean(observation.points.reshape(1, self.frames, 18))[0].reshape(self.steps, 6, 3)
+        factor = with_noise(self.cholesky, np.repeat(observation.noise, 3)).reshape(self.steps, 6, 3, -1)
+        draws = rng.standard_normal((factor.shape[-1], samples))
+        constraint = None
+        if self.limits is not None:
+            constraint = ConstraintFactor(
+                lambda: mean + np.tensordot(draws, factor, axes=(0, 3)), observation, self.limits, self.noise
+            )
+        blocks = GaussianMixture(
+            mean[None, :, JOINT_ORDER].reshape(1, -1, 18), factor[None, :, JOINT_ORDER].reshape(1, self.steps, 18, -1)
+        )
+        return Forecast(
+            sample_motions(observation, mean, factor, draws, rng, self.limits),
+            observation.to_world(mean),
+            PoseDensity(observation, mean, blocks, constraint),
+            self.limits is not None,
+        )
+
+
+@dataclass(frozen=True)
+class PostureGaussian(_Gaussian):
+    """A Gaussian over the smooth posture coordinates, free or held inside joint limits and scene."""
+
+    examples = staticmethod(posture_examples)
+
+    def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
+        """See kinecast.prediction.method.Method."""
+        track = postures_from_points(observation.points, continuous=True)
+        mean = self.mean_model.mean(coordinates_from_postures(track)[None])[0]
+        cholesky = with_noise(self.cholesky, coordinate_noise(track[-1], observation.noise))
+        draws = rng.standard_normal((samples, len(cholesky)))
+        uniforms = rng.random((samples, self.steps, 8))
+        postures = roll_gaussian(mean, cholesky, track[-1], draws, uniforms, *posture_bounds(self.limits), self.dt)
+        motions = observation.to_world(points_from_postures(postures))
+
+        def free() -> Float[np.ndarray, "S T 6 3"]:
+            coordinates = mean + (draws @ cholesky.T).reshape(samples, self.steps, 18)
+            return points_from_postures(postures_from_coordinates(coordinates))
+
+        constraint = None
+        if self.limits is not None:
+            constraint = ConstraintFactor(free, observation, self.limits, self.noise)
+        blocks = GaussianMixture(mean[None], cholesky.reshape(1, self.steps, 18, -1), posture=True)
+        centre = points_from_postures(postures_from_coordinates(mean))
+        density = PoseDensity(observation, centre, blocks, constraint)
+        return Forecast(motions, motions.mean(axis=0), density, self.limits is not None)

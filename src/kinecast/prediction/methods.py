@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib import resources
 from pathlib import Path
@@ -14,7 +14,9 @@ import numpy as np
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError, OptionError
-from kinecast.prediction.baselines import (
+from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian, position_examples, posture_examples
+from kinecast.prediction.kinecast.model import kinecast_from_arrays
+from kinecast.prediction.linear import (
     MeanModel,
     constant_velocity,
     damped_velocity,
@@ -22,16 +24,14 @@ from kinecast.prediction.baselines import (
     kalman,
     zero_velocity,
 )
-from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
-from kinecast.prediction.forecast import Method
-from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian, position_examples, posture_examples
-from kinecast.prediction.kinecast.method import Horizon, horizon_from_arrays
-from kinecast.prediction.kinecast.training import HorizonOptions, fit_actions, fitting_horizon
+from kinecast.prediction.method import Method
 from kinecast.prediction.mixer import fit_mixer
+from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
 from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
-from kinecast.prediction.outside import is_outside, trained_outside
 from kinecast.prediction.paper import PositionSeries, PostureSeries
+from kinecast.prediction.plugins import is_plugin, load_plugin
+from kinecast.prediction.sparse_gp import SparseGPOptions
 from kinecast.tasks.workers import Progress, Serial, Workers, given
 
 __all__ = [
@@ -41,10 +41,10 @@ __all__ = [
     "check_names",
     "limits_of",
     "read_method",
+    "read_shipped",
     "save_method",
     "shipped_methods",
     "train",
-    "with_actions",
 ]
 
 METHODS: Mapping[str, str] = {
@@ -67,6 +67,14 @@ METHODS: Mapping[str, str] = {
 """Every method and what it does."""
 
 Array = np.ndarray
+
+FREE = {
+    "kalman_constrained": "kalman_angles",
+    "ridge_constrained": "ridge_angles",
+    "gp_constrained": "gp_angles",
+    "mixer_constrained": "mixer",
+}
+"""Constrained methods, and what each is without its limits."""
 
 SHIPPED = ("zero_velocity", "damped_velocity", "gp_constrained", "kinecast")
 """Methods whose models come with kinecast, the best last."""
@@ -100,7 +108,7 @@ def train(
     options: TrainingOptions,
     progress: Progress | None = None,
     workers: Workers | None = None,
-) -> dict[str, Method]:
+) -> dict[str, Method[Any]]:
     """Trains methods; what two of them share is trained once.
 
     Args:
@@ -130,6 +138,7 @@ class _Fitting:
         self._workers, self._windows, self._options = workers, windows, options
         self._noise, self._limits = sensor_noise(windows), limits_of(windows, options)
         self._data = workers.submit(given, windows)
+        self._methods: dict[str, Any] = {}
 
     @cached_property
     def _positions(self) -> Any:
@@ -139,62 +148,34 @@ class _Fitting:
     def _postures(self) -> Any:
         return self._workers.submit(posture_examples, self._data)
 
-    @cached_property
-    def _angles(self) -> Any:
-        return PostureSeries.fitting(self._workers, self._windows, self._postures, self._options, self._noise)
-
-    @cached_property
-    def _mixer(self) -> Any:
-        fit = _fit("mixer", self._windows, self._options)
-        return PositionGaussian.fitting(self._workers, fit, self._windows, self._positions)
-
     def method(self, name: str) -> Any:
         """Stands for a trained method."""
+        if name not in self._methods:
+            self._methods[name] = self._fitted(name)
+        return self._methods[name]
+
+    def _fitted(self, name: str) -> Any:
         workers, windows, options = self._workers, self._windows, self._options
-        if name == "gp_xyz":
-            return PositionSeries.fitting(workers, windows, self._data, options)
-        if name == "gp_angles":
-            return self._angles
-        if name == "gp_constrained":
-            return workers.submit(PostureSeries.with_limits, self._angles, self._limits)
-        if name == "mixer":
-            return self._mixer
-        if name == "mixer_constrained":
-            return workers.submit(PositionGaussian.with_limits, self._mixer, self._limits, self._noise)
+        if name in FREE:
+            return workers.submit(_with_limits, self.method(FREE[name]), self._limits)
         if name == "kinecast":
-            own = HorizonOptions(seed=options.seed)
-            return fitting_horizon(workers, windows, self._data, self._limits, self._noise, own)
-        base, _, space = name.partition("_") if name.endswith(("_angles", "_constrained")) else (name, "", "")
-        fit = _fit(base, windows, options)
-        if not space:
-            return PositionGaussian.fitting(workers, fit, windows, self._positions)
-        held = self._limits if space == "constrained" else None
-        return PostureGaussian.fitting(workers, fit, windows, self._postures, self._noise, held)
+            from kinecast.prediction.kinecast.fit import KinecastOptions, fitting_kinecast  # only to train
+
+            own = KinecastOptions(seed=options.seed)
+            return fitting_kinecast(workers, windows, self._data, self._limits, self._noise, own)
+        process = SparseGPOptions(options.pseudo_inputs, options.iterations, options.seed)
+        if name == "gp_xyz":
+            return PositionSeries.fitting(workers, windows, self._data, options.points, process)
+        if name == "gp_angles":
+            return PostureSeries.fitting(workers, windows, self._postures, options.points, process, self._noise)
+        fit = _fit(name.removesuffix("_angles"), windows, options)
+        if name.endswith("_angles"):
+            return PostureGaussian.fitting(workers, fit, windows, self._postures, self._noise)
+        return PositionGaussian.fitting(workers, fit, windows, self._positions, self._noise)
 
 
-def with_actions(
-    method: Method,
-    windows: Mapping[str, TrainingWindows],
-    options: TrainingOptions,
-    progress: Progress | None = None,
-    workers: Workers | None = None,
-) -> Method:
-    """The method `kinecast` with a model for each action beside its own.
-
-    Args:
-        method: trained, of the same rate, window and horizon as the windows.
-        windows: of each action.
-        options: see TrainingOptions.
-        progress: called with (done, total) tasks.
-        workers: that do them; None for this process.
-
-    Raises:
-        OptionError: another method.
-    """
-    if not isinstance(method, Horizon):
-        raise OptionError("models per action go with the method kinecast")
-    actions = fit_actions(windows, HorizonOptions(seed=options.seed), progress, workers)
-    return replace(method, mixture=replace(method.mixture, actions=actions))
+def _with_limits(method: Any, limits: JointLimits) -> Any:
+    return method.with_limits(limits)
 
 
 def limits_of(windows: TrainingWindows, options: TrainingOptions) -> JointLimits:
@@ -204,7 +185,7 @@ def limits_of(windows: TrainingWindows, options: TrainingOptions) -> JointLimits
 
 def card_of(
     name: str,
-    method: Method,
+    method: Method[Any],
     windows: TrainingWindows,
     options: TrainingOptions,
     label: str,
@@ -234,7 +215,7 @@ def check_names(names: Sequence[str]) -> None:
         raise OptionError(f"unknown method {', '.join(unknown) or '(none)'}; methods are {', '.join(METHODS)}")
 
 
-def _fit(base: str, windows: TrainingWindows, options: TrainingOptions) -> Fit:
+def _fit(name: str, windows: TrainingWindows, options: TrainingOptions) -> Fit:
     """How the mean model of a baseline is fitted."""
     fits: dict[str, Fit] = {
         "zero_velocity": partial(_of_shape, zero_velocity),
@@ -242,39 +223,37 @@ def _fit(base: str, windows: TrainingWindows, options: TrainingOptions) -> Fit:
         "damped_velocity": partial(_of_values, partial(damped_velocity, dt=windows.dt)),
         "kalman": partial(_of_values, kalman),
         "ridge": fit_ridge,
-        "mixer": partial(fit_mixer, steps=options.descent, seed=options.seed),
+        "mixer": partial(_of_values, partial(fit_mixer, steps=options.descent, seed=options.seed)),
     }
-    return fits[base]
+    return fits[name]
 
 
-def _of_shape(make: Callable[[int, int], MeanModel], windows: Array, futures: Array, folds: Array) -> MeanModel:
+def _of_shape(make: Callable[[int, int], MeanModel], windows: Array, futures: Array, _folds: Array) -> MeanModel:
     """A mean model that only needs to know how many frames and steps there are."""
-    del folds
     return make(windows.shape[1], futures.shape[1])
 
 
-def _of_values(fit: Callable[[Array, Array], MeanModel], windows: Array, futures: Array, folds: Array) -> MeanModel:
+def _of_values(fit: Callable[[Array, Array], MeanModel], windows: Array, futures: Array, _folds: Array) -> MeanModel:
     """A mean model that does without folds."""
-    del folds
     return fit(windows, futures)
 
 
-def save_method(path: Path, card: ModelCard, method: Method) -> None:
+def save_method(path: Path, card: ModelCard, method: Method[Any]) -> None:
     """Writes one trained method to a file, whole or not at all."""
-    write_checkpoint(path, card, method.to_arrays())
+    write_model_file(path, card, method.to_arrays())
 
 
-def read_method(path: Path) -> tuple[ModelCard, Method]:
+def read_method(path: Path) -> tuple[ModelCard, Method[Any]]:
     """The card and the method of a model file, or of a function MODULE:FUNCTION that gives a trained method.
 
     Raises:
         ModelError: not a model of this kinecast, or no method.
         OptionError: no such function.
     """
-    if is_outside(str(path)):
-        method = trained_outside(str(path))
+    if is_plugin(str(path)):
+        method = load_plugin(str(path))
         return ModelCard(str(path), method.frames, method.steps, 1.0 / method.dt), method
-    card, arrays = read_checkpoint(path)
+    card, arrays = read_model_file(path)
     if card.method not in METHODS:
         raise ModelError(f"{path}: method {card.method!r}; this kinecast knows {', '.join(METHODS)}")
     try:
@@ -283,27 +262,25 @@ def read_method(path: Path) -> tuple[ModelCard, Method]:
         raise ModelError(f"{path}: arrays do not fit the method {card.method} ({error})") from None
 
 
-def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method:
+def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method[Any]:
     shape = (card.frames, card.steps, card.dt)
     if card.method == "kinecast":
-        return horizon_from_arrays(arrays, *shape, card.noise, card.limits)
-    limits = card.limits if card.method.endswith("_constrained") else None
+        return kinecast_from_arrays(arrays, *shape, card.noise, card.limits)
     if card.method == "gp_xyz":
         return PositionSeries.from_arrays(arrays, *shape)
-    if card.method in ("gp_angles", "gp_constrained"):
-        return PostureSeries.from_arrays(arrays, *shape, card.noise, limits)
-    if card.method.startswith("mixer"):
-        return PositionGaussian.from_arrays(arrays, *shape, card.noise, limits)
-    if card.method.endswith(("_angles", "_constrained")):
-        return PostureGaussian.from_arrays(arrays, *shape, card.noise, limits)
-    return PositionGaussian.from_arrays(arrays, *shape)
+    limits = card.limits if card.method in FREE else None
+    free = FREE.get(card.method, card.method)
+    kind = PostureSeries if free == "gp_angles" else PostureGaussian if free.endswith("_angles") else PositionGaussian
+    return kind.from_arrays(arrays, *shape, card.noise, limits)
 
 
-def shipped_methods() -> tuple[ModelCard, dict[str, Method]]:
+def read_shipped(name: str = SHIPPED[-1]) -> tuple[ModelCard, Method[Any]]:
+    """The card and the method of a model that comes with kinecast, one of `SHIPPED`."""
+    with resources.as_file(resources.files("kinecast") / "data" / "models" / f"{name}.npz") as path:
+        return read_method(path)
+
+
+def shipped_methods() -> tuple[ModelCard, dict[str, Method[Any]]]:
     """The models that come with kinecast, the best last, and the best one's card."""
-    folder = resources.files("kinecast") / "data" / "models"
-    methods = {}
-    for name in SHIPPED:
-        with resources.as_file(folder / f"{name}.npz") as path:
-            card, methods[name] = read_method(path)
-    return card, methods
+    read = {name: read_shipped(name) for name in SHIPPED}
+    return read[SHIPPED[-1]][0], {name: method for name, (_, method) in read.items()}

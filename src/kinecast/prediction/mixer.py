@@ -12,10 +12,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from kinecast.prediction.arrays import shaped
 from kinecast.prediction.descent import descend
+from kinecast.prediction.model_file import shaped
 
 __all__ = ["Mixer", "fit_mixer", "mixer_from_arrays"]
 
@@ -79,7 +79,6 @@ def mixer_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int,
 def fit_mixer(
     windows: Float[np.ndarray, "W N D"],
     futures: Float[np.ndarray, "W T D"],
-    folds: Int[np.ndarray, " W"],
     *,
     steps: int,
     seed: int,
@@ -89,11 +88,9 @@ def fit_mixer(
     Args:
         windows: (W, N, D) observed, coordinates in threes.
         futures: (W, T, D) what followed.
-        folds: of models that tune themselves; this one does not.
         steps: of descent.
         seed: of everything random.
     """
-    del folds
     frames, size = windows.shape[1:]
     inputs, target = _inputs(windows), futures - windows[:, -1:]
     scale, unit = np.sqrt(inputs.var(axis=(0, 1)) + LEAST), np.sqrt(target.var() + LEAST)

@@ -1,228 +1,313 @@
-"""Sparse pseudo-input Gaussian process of Eq. 3 (SPGP; FITC): fast prediction from cached products, no JAX.
+"""Sparse pseudo-input Gaussian processes of Eq. 3 (SPGP; FITC), one a series, all evaluated at once.
 
-Outputs share one kernel, one noise and one set of pseudo-inputs Z; inputs and outputs are standardised inside.
-With K = k(Z, Z), k_n = k(Z, x_n) and the FITC noise λ_n = k(x_n, x_n) − k_nᵀ K⁻¹ k_n + σ²:
+With K = k(Z, Z), k_n = k(Z, x_n), k(x, z) = σf² exp(−½ Σ_d (x_d − z_d)² / ℓ_d²) and the FITC noise
+λ_n = σf² − k_nᵀ K⁻¹ k_n + σ²:
 
     A = K + Σ_n k_n k_nᵀ / λ_n                        mean(x) = k(x)ᵀ A⁻¹ Σ_n k_n y_n / λ_n
     variance(x) = σf² − k(x)ᵀ (K⁻¹ − A⁻¹) k(x) + σ²
+
+Pseudo-inputs Z, lengthscales and variances maximise the marginal likelihood: JAX gradients, SciPy's L-BFGS, float64.
+Only training needs JAX (`pip install 'kinecast[train]'`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor, cho_solve, qr, solve_triangular
 
 from kinecast.errors import ModelError, OptionError
-from kinecast.prediction.kernels import RBF
+from kinecast.prediction.descent import jax_in_one_thread
+from kinecast.prediction.model_file import shaped
 
-__all__ = ["JITTER", "Scale", "SparseGP"]
+__all__ = ["JITTER", "SparseGPOptions", "SparseGPs", "centres", "fit_sparse_gp", "negative_log_likelihood"]
 
 JITTER = 1e-8
 """Added to the diagonal of K, as a share of σf²."""
-BLOCK = 2048
-"""Rows handled at once: memory stays flat in N."""
+SIGNAL_START, NOISE_START = 1.0, 0.05
+"""Variances that L-BFGS starts from, in standardised units."""
+CENTRING_ROUNDS, CENTRING_POINTS = 10, 8192
+"""Iterations of the k-means that places the pseudo-inputs, and points it looks at."""
+LENGTHSCALES, SIGNAL_VARIANCES, NOISE_VARIANCES = (1e-2, 1e3), (1e-4, 1e6), (1e-6, 10.0)
+"""Ranges of the hyperparameters, in standardised units: wide enough never to bind on data worth fitting."""
 
 
-@dataclass(frozen=True)
-class Scale:
-    """Standardisation of columns: (data − mean) / sd.
-
-    Attributes:
-        mean: (D,) in the units of the data.
-        sd: (D,) > 0; 1 for a column that does not vary.
-    """
-
-    mean: Float[np.ndarray, " D"]
-    sd: Float[np.ndarray, " D"]
-
-    @classmethod
-    def of(cls, data: Float[np.ndarray, "N D"]) -> Scale:
-        """The scale that standardises the columns of data, N ≥ 1."""
-        mean, sd = data.mean(axis=0), data.std(axis=0)
-        return cls(mean, np.where(sd > 1e-12 * (1.0 + np.abs(mean)), sd, 1.0))
-
-    def standardise(self, data: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N D"]:
-        """(data − mean) / sd."""
-        return (data - self.mean) / self.sd
+Predictor: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-@dataclass(frozen=True)
-class SparseGP:
-    """A trained SPGP, ready to predict.
+class SparseGPs(NamedTuple):
+    """D independent processes of N inputs, M pseudo-inputs and one output each, ready to predict.
+
+    With u = gain ∘ x − offset and k_m = exp(−½ |u − pseudo_m|²): mean = centre + Σ_m weights_m k_m and
+    variance = signal − Σ_r (Σ_m factor_rm k_m)² + noise, in the units of the outputs.
 
     Attributes:
-        pseudo_inputs: (M, D) Z, standardised.
-        kernel: in standardised units.
-        noise_variance: σ² > 0, in standardised units, the same for every output.
-        inputs: standardisation of the D inputs.
-        outputs: standardisation of the P outputs.
-        weights: (M, P) A⁻¹ Σ_n k_n y_n / λ_n.
-        factor: (M, M) lower triangular U with U Uᵀ = K⁻¹ − A⁻¹, so that the latent variance is σf² − |Uᵀ k(x)|².
-
-    Raises:
-        ModelError: if a number is not finite or not positive where it must be, or the factor is not triangular.
+        gain, offset: (D, N) standardise an input and divide it by its lengthscale.
+        pseudo: (D, N, M) pseudo-inputs, likewise.
+        weights: (D, M) cached product for the mean.
+        factor: (D, R, M) cached product for the variance.
+        centre, signal, noise: (D,) mean of the output, prior variance, noise variance.
     """
 
-    pseudo_inputs: Float[np.ndarray, "M D"]
-    kernel: RBF
-    noise_variance: float
-    inputs: Scale
-    outputs: Scale
-    weights: Float[np.ndarray, "M P"]
-    factor: Float[np.ndarray, "M M"]
+    gain: Float[np.ndarray, "D N"]
+    offset: Float[np.ndarray, "D N"]
+    pseudo: Float[np.ndarray, "D N M"]
+    weights: Float[np.ndarray, "D M"]
+    factor: Float[np.ndarray, "D R M"]
+    centre: Float[np.ndarray, " D"]
+    signal: Float[np.ndarray, " D"]
+    noise: Float[np.ndarray, " D"]
 
-    def __post_init__(self) -> None:
-        for name, array in self.to_arrays().items():
-            if not np.isfinite(array).all():
-                raise ModelError(f"sparse GP: {name} holds numbers that are not finite")
-        if not (self.noise_variance > 0 and np.all(self.inputs.sd > 0) and np.all(self.outputs.sd > 0)):
-            raise ModelError("sparse GP: noise variance and standard deviations must be positive")
-        if np.triu(self.factor, 1).any():
-            raise ModelError("sparse GP: factor must be lower triangular")
-
-    def predict(self, x: Float[np.ndarray, "N D"]) -> tuple[Float[np.ndarray, "N P"], Float[np.ndarray, "N P"]]:
-        """Predictive mean and variance, the noise included.
+    def predict(self, x: Float[np.ndarray, "D N S"]) -> tuple[Float[np.ndarray, "D S"], Float[np.ndarray, "D S"]]:
+        """Predictive mean and standard deviation, the noise included.
 
         Args:
-            x: (N, D) inputs, in the units of the training inputs; NaN gives NaN.
+            x: (D, N, S) inputs of S samples, in the units of the training inputs; NaN gives NaN.
 
         Returns:
-            (N, P) means and (N, P) variances, in the units of the training outputs.
+            (D, S) means and (D, S) standard deviations, in the units of the outputs.
         """
-        mean = np.empty((len(x), self.weights.shape[1]))
-        variance = np.empty(len(x))
-        for rows in _blocks(len(x)):
-            k = self.kernel(self.inputs.standardise(x[rows]), self.pseudo_inputs)
-            mean[rows] = k @ self.weights
-            explained = np.square(k @ self.factor).sum(axis=1)
-            variance[rows] = np.maximum(self.kernel.signal_variance - explained, 0.0) + self.noise_variance
-        return self.outputs.mean + self.outputs.sd * mean, variance[:, None] * self.outputs.sd**2
+        return self.predictor(x.shape[2])(x)
 
-    @classmethod
-    def condition(
-        cls,
-        inputs: Float[np.ndarray, "N D"],
-        outputs: Float[np.ndarray, "N P"],
-        pseudo_inputs: Float[np.ndarray, "M D"],
-        kernel: RBF,
-        noise_variance: float,
-        *,
-        input_scale: Scale,
-        output_scale: Scale,
-    ) -> SparseGP:
-        """The posterior given data, for settled hyperparameters. Memory does not grow with N beyond the data.
+    def predictor(self, samples: int) -> Predictor:
+        """`predict` for calls with the same number of samples: what is large is made once.
 
-        Args:
-            inputs: (N, D) in their own units.
-            outputs: (N, P) in their own units.
-            pseudo_inputs: (M, D) standardised by `input_scale`.
-            kernel: in standardised units.
-            noise_variance: σ², in standardised units.
-            input_scale: standardisation of the inputs.
-            output_scale: standardisation of the outputs.
+        With w = (u, 1, |u|²) each log k_m = w · (pseudo_m, −½ |pseudo_m|², −½) is part of one product, and so are the
+        mean and what the variance lacks.
+        """
+        series, inputs, pseudo = self.pseudo.shape
+        gain, offset = self.gain[:, :, None], self.offset[:, :, None]
+        centre, signal, noise = self.centre[:, None], self.signal[:, None], self.noise[:, None]
+        squares = -0.5 * np.square(self.pseudo).sum(axis=1)[:, :, None]
+        exponents = np.concatenate([self.pseudo.transpose(0, 2, 1), squares, np.full_like(squares, -0.5)], axis=2)
+        products = np.concatenate([self.weights[:, None], self.factor], axis=1)
+        w = np.ones((series, inputs + 2, samples))
+        u, k = w[:, :inputs], np.empty((series, pseudo, samples))
+        out = np.empty((series, products.shape[1], samples))
+
+        def predict(x: Float[np.ndarray, "D N S"]) -> tuple[Float[np.ndarray, "D S"], Float[np.ndarray, "D S"]]:
+            np.multiply(gain, x, out=u)
+            np.subtract(u, offset, out=u)
+            np.einsum("dns,dns->ds", u, u, out=w[:, -1])
+            np.exp(np.matmul(exponents, w, out=k), out=k)
+            np.matmul(products, k, out=out)
+            explained = np.einsum("drs,drs->ds", out[:, 1:], out[:, 1:])
+            return out[:, 0] + centre, np.sqrt(np.maximum(signal - explained, 0.0) + noise)
+
+        return predict
+
+    @staticmethod
+    def joined(processes: Sequence[SparseGPs]) -> SparseGPs:
+        """All processes of several, in their order; each must have as many inputs and pseudo-inputs."""
+        return SparseGPs(*map(np.concatenate, zip(*processes, strict=True)))
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, np.ndarray], count: int, inputs: int) -> SparseGPs:
+        """The D = count processes of N = inputs whose arrays were stored under these fields' names.
 
         Raises:
-            OptionError: if inputs or outputs are not finite.
+            ModelError: an array is missing, of another shape, or a variance is not above 0.
         """
-        if not (np.isfinite(inputs).all() and np.isfinite(outputs).all()):
-            raise OptionError("inputs and outputs of a sparse GP must be finite")
-        count = len(pseudo_inputs)
-        prior = kernel(pseudo_inputs, pseudo_inputs)
-        root = np.linalg.cholesky(prior + JITTER * kernel.signal_variance * np.eye(count))  # L
-        inner = np.eye(count)  # B = L⁻¹ A L⁻ᵀ
-        target = np.zeros((count, outputs.shape[1]))
-        for rows in _blocks(len(inputs)):
-            k = kernel(input_scale.standardise(inputs[rows]), pseudo_inputs)
-            v = solve_triangular(root, k.T, lower=True, check_finite=False)
-            noise = kernel.signal_variance - np.square(v).sum(axis=0)
-            scaled = v / (np.maximum(noise, 0.0) + noise_variance)
-            inner += scaled @ v.T
-            target += scaled @ output_scale.standardise(outputs[rows])
-        weights = solve_triangular(root.T, cho_solve(cho_factor(inner), target), check_finite=False)
-        shares, axes = np.linalg.eigh(inner)
-        explained = axes * np.sqrt(np.maximum(1.0 - 1.0 / shares, 0.0))  # I − B⁻¹, its square root
-        factor = solve_triangular(root.T, explained, check_finite=False)
-        (triangle,) = qr(factor.T, mode="r", check_finite=False)  # the same product U Uᵀ
-        return cls(
-            pseudo_inputs=pseudo_inputs,
-            kernel=kernel,
-            noise_variance=noise_variance,
-            inputs=input_scale,
-            outputs=output_scale,
-            weights=weights,
-            factor=np.ascontiguousarray(triangle.T),
-        )
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for an npz file; `from_arrays` is the way back."""
-        return {
-            "pseudo_inputs": self.pseudo_inputs,
-            "lengthscales": self.kernel.lengthscales,
-            "signal_variance": np.array(self.kernel.signal_variance),
-            "noise_variance": np.array(self.noise_variance),
-            "input_mean": self.inputs.mean,
-            "input_sd": self.inputs.sd,
-            "output_mean": self.outputs.mean,
-            "output_sd": self.outputs.sd,
-            "weights": self.weights,
-            "factor": self.factor,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> SparseGP:
-        """The sparse GP that `to_arrays` wrote.
-
-        Raises:
-            ModelError: if an array is missing, of another type or shape, or holds impossible numbers.
-        """
-        sizes: dict[str, int] = {}
-        found: dict[str, np.ndarray] = {}
-        for name, axes in ARRAYS.items():
-            if name not in arrays:
-                raise ModelError(f"sparse GP: array {name!r} is missing")
-            array = np.asarray(arrays[name])
-            if array.dtype != np.float64 or array.ndim != len(axes):
-                raise ModelError(
-                    f"sparse GP: {name} must be float64 with {len(axes)} axes, found {array.dtype} {array.shape}"
-                )
-            for axis, size in zip(axes, array.shape, strict=True):
-                if sizes.setdefault(axis, size) != size:
-                    raise ModelError(f"sparse GP: {name} has shape {array.shape}, expected {axis} = {sizes[axis]}")
-            found[name] = array
-        try:
-            kernel = RBF(found["lengthscales"], float(found["signal_variance"]))
-        except OptionError as error:
-            raise ModelError(f"sparse GP: {error}") from error
-        return cls(
-            pseudo_inputs=found["pseudo_inputs"],
-            kernel=kernel,
-            noise_variance=float(found["noise_variance"]),
-            inputs=Scale(found["input_mean"], found["input_sd"]),
-            outputs=Scale(found["output_mean"], found["output_sd"]),
-            weights=found["weights"],
-            factor=found["factor"],
-        )
+        pseudo, rank = _size(arrays.get("pseudo"), 2), _size(arrays.get("factor"), 1)
+        shapes = [(inputs,), (inputs,), (inputs, pseudo), (pseudo,), (rank, pseudo), (), (), ()]
+        named = zip(SparseGPs._fields, shapes, strict=True)
+        processes = SparseGPs(*(shaped(arrays, name, count, *shape) for name, shape in named))
+        if not ((processes.noise > 0) & (processes.signal > 0)).all():
+            raise ModelError("arrays signal and noise hold variances that are not above 0")
+        return processes
 
 
-ARRAYS = {
-    "pseudo_inputs": "MD",
-    "lengthscales": "D",
-    "signal_variance": "",
-    "noise_variance": "",
-    "input_mean": "D",
-    "input_sd": "D",
-    "output_mean": "P",
-    "output_sd": "P",
-    "weights": "MP",
-    "factor": "MM",
-}
-"""Arrays of a stored sparse GP, each with its axes."""
+@dataclass(frozen=True)
+class SparseGPOptions:
+    """How to train a sparse GP.
+
+    Attributes:
+        pseudo_inputs: M, at most the number of points.
+        iterations: L-BFGS iterations.
+        seed: of the k-means.
+
+    Raises:
+        OptionError: if one of them is out of range.
+    """
+
+    pseudo_inputs: int = 32
+    iterations: int = 150
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("pseudo_inputs", 1), ("iterations", 0), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise OptionError(f"{name} must be at least {least}, found {getattr(self, name)}")
 
 
-def _blocks(count: int) -> Iterator[slice]:
-    """Consecutive slices of at most BLOCK rows that cover `count` rows."""
-    return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
+def fit_sparse_gp(
+    inputs: Float[np.ndarray, "W N"], outputs: Float[np.ndarray, " W"], options: SparseGPOptions | None = None
+) -> SparseGPs:
+    """One SPGP of the marginal likelihood's maximum, starting from k-means centres.
+
+    Args:
+        inputs: (W, N), any units; W ≥ 2.
+        outputs: (W,), any units.
+        options: None takes the defaults.
+
+    Returns:
+        The posterior given all points, D = 1. The same seed and data give the same result on the same machine.
+
+    Raises:
+        MissingExtraError: without JAX.
+        OptionError: if the data hold too few points or numbers that are not finite.
+    """
+    options = options or SparseGPOptions()
+    if len(inputs) < 2:
+        raise OptionError(f"a sparse GP needs at least 2 points, found {len(inputs)}")
+    if not (np.isfinite(inputs).all() and np.isfinite(outputs).all()):
+        raise OptionError("inputs and outputs of a sparse GP must be finite")
+    input_mean, input_sd = _standard(inputs)
+    output_mean, output_sd = _standard(outputs)
+    x, y = (inputs - input_mean) / input_sd, (outputs - output_mean) / output_sd
+    z = centres(np.random.default_rng(options.seed), x, min(options.pseudo_inputs, len(x)))
+    best = _maximise(_pack(z, np.full(x.shape[1], math.sqrt(x.shape[1])), SIGNAL_START, NOISE_START), x, y, options)
+    z, lengths, signal, noise = unpack(best, x.shape[1])
+    weights, factor = _posterior(x / lengths, y, z / lengths, signal, noise)
+    return SparseGPs(
+        gain=1.0 / (input_sd * lengths)[None],
+        offset=(input_mean / (input_sd * lengths))[None],
+        pseudo=(z / lengths).T[None],
+        weights=output_sd * signal * weights[None],
+        factor=output_sd * signal * factor[None],
+        centre=np.array([output_mean]),
+        signal=np.array([signal * output_sd**2]),
+        noise=np.array([noise * output_sd**2]),
+    )
+
+
+def _size(array: Any, axis: int) -> int:
+    """Length of an array along an axis; 1 where it has none."""
+    return np.shape(array)[axis] if np.ndim(array) > axis else 1
+
+
+def _standard(data: np.ndarray) -> Any:
+    """Mean and standard deviation of columns, or of one; 1 for a column that does not vary."""
+    mean, sd = data.mean(axis=0), data.std(axis=0)
+    return mean, np.where(sd > 1e-12 * (1.0 + np.abs(mean)), sd, 1.0)
+
+
+def _kernel(a: Float[np.ndarray, "A N"], b: Float[np.ndarray, "B N"]) -> Float[np.ndarray, "A B"]:
+    """exp(−½ |a − b|²)."""
+    return np.exp(-0.5 * np.square(a[:, None] - b).sum(axis=-1))
+
+
+def _posterior(
+    x: Float[np.ndarray, "W N"], y: Float[np.ndarray, " W"], z: Float[np.ndarray, "M N"], signal: float, noise: float
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M M"]]:
+    """A⁻¹ Σ_n k_n y_n / λ_n, and U with Uᵀ U = K⁻¹ − A⁻¹; inputs over their lengthscales."""
+    from scipy.linalg import solve_triangular
+
+    root = np.linalg.cholesky(signal * (_kernel(z, z) + JITTER * np.eye(len(z))))  # L
+    v = solve_triangular(root, signal * _kernel(z, x), lower=True)
+    scaled = v / (np.maximum(signal - np.square(v).sum(axis=0), 0.0) + noise)
+    inner = np.eye(len(z)) + scaled @ v.T  # B = L⁻¹ A L⁻ᵀ
+    weights = solve_triangular(root, np.linalg.solve(inner, scaled @ y), lower=True, trans="T")
+    shares, axes = np.linalg.eigh(inner)
+    explained = axes * np.sqrt(np.maximum(1.0 - 1.0 / shares, 0.0))  # I − B⁻¹, its square root
+    return weights, solve_triangular(root, explained, lower=True, trans="T").T
+
+
+def centres(rng: np.random.Generator, points: Float[np.ndarray, "W N"], count: int) -> Float[np.ndarray, "M N"]:
+    """`count` k-means centres of points (from points drawn at random), all distinct."""
+    from scipy.cluster.vq import kmeans2
+
+    if len(points) > CENTRING_POINTS:
+        points = points[rng.choice(len(points), CENTRING_POINTS, replace=False)]
+    found = points[rng.choice(len(points), count, replace=False)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a cluster left empty keeps its centre
+        found, _ = kmeans2(points, found, iter=CENTRING_ROUNDS, minit="matrix")
+    return found + 1e-3 * rng.standard_normal(found.shape)  # repeated points would share a centre
+
+
+def _pack(
+    z: Float[np.ndarray, "M N"], lengths: Float[np.ndarray, " N"], signal: float, noise: float
+) -> Float[np.ndarray, " K"]:
+    """One vector for the optimiser: log lengthscales, log variances, pseudo-inputs."""
+    return np.concatenate([np.log([*lengths, signal, noise]), z.ravel()])
+
+
+def unpack(
+    vector: Float[np.ndarray, " K"], inputs: int
+) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, " N"], float, float]:
+    """Pseudo-inputs, lengthscales, signal and noise variance of the optimiser's vector."""
+    *lengths, signal, noise = np.exp(vector[: inputs + 2])
+    return vector[inputs + 2 :].reshape(-1, inputs), np.array(lengths), float(signal), float(noise)
+
+
+def negative_log_likelihood(vector: Any, x: Any, y: Any) -> Any:
+    """−log N(y; 0, Kₙₘ K⁻¹ Kₘₙ + Λ), Λ the FITC diagonal (JAX).
+
+    Args:
+        vector: (N + 2 + M N,) log lengthscales, log σf², log σ², pseudo-inputs.
+        x: (W, N) inputs.
+        y: (W,) outputs.
+    """
+    import jax.numpy as jnp
+    from jax.scipy.linalg import solve_triangular
+
+    inputs = x.shape[-1]
+    lengths, signal, noise = jnp.exp(vector[:inputs]), *jnp.exp(vector[inputs : inputs + 2])
+    z = vector[inputs + 2 :].reshape(-1, inputs) / lengths
+
+    def kernel(a: Any, b: Any) -> Any:
+        squared = jnp.sum(a * a, -1)[:, None] + jnp.sum(b * b, -1) - 2.0 * a @ b.T
+        return signal * jnp.exp(-0.5 * jnp.maximum(squared, 0.0))
+
+    root = jnp.linalg.cholesky(kernel(z, z) + JITTER * signal * jnp.eye(len(z)))
+    v = solve_triangular(root, kernel(z, x / lengths), lower=True)
+    diagonal = jnp.maximum(signal - jnp.sum(v * v, 0), 0.0) + noise
+    scaled = v / diagonal
+    inner = jnp.linalg.cholesky(jnp.eye(len(z)) + scaled @ v.T)
+    explained = solve_triangular(inner, scaled @ y, lower=True)
+    fit = jnp.sum(y * y / diagonal) - jnp.sum(explained**2)
+    return 0.5 * (fit + jnp.sum(jnp.log(2.0 * math.pi * diagonal))) + jnp.sum(jnp.log(jnp.diag(inner)))
+
+
+@cache
+def _value_and_gradient() -> Callable[..., Any]:
+    """Compiled once per shape of the data."""
+    import jax
+
+    return jax.jit(jax.value_and_grad(negative_log_likelihood))
+
+
+def _maximise(
+    start: Float[np.ndarray, " K"], x: Float[np.ndarray, "W N"], y: Float[np.ndarray, " W"], options: SparseGPOptions
+) -> Float[np.ndarray, " K"]:
+    """The best vector met by L-BFGS from start, on the negative log marginal likelihood per number."""
+    double_precision = jax_in_one_thread().enable_x64(True)
+    from scipy.optimize import Bounds, minimize  # here, since predicting does without and it is slow to import
+
+    best, lowest = start, math.inf
+
+    def cost(vector: Float[np.ndarray, " K"]) -> tuple[float, Float[np.ndarray, " K"]]:
+        nonlocal best, lowest
+        value, slope = _value_and_gradient()(vector, x, y)
+        value, slope = float(value) / len(y), np.asarray(slope) / len(y)
+        if not (math.isfinite(value) and np.isfinite(slope).all()):
+            return 1e10, np.zeros_like(vector)  # the line search steps back
+        if value < lowest:
+            best, lowest = vector.copy(), value
+        return value, slope
+
+    ranges = np.repeat([[-math.inf, math.inf]], len(start), axis=0)
+    ranges[: x.shape[1] + 2] = np.log([LENGTHSCALES] * x.shape[1] + [SIGNAL_VARIANCES, NOISE_VARIANCES])
+    with double_precision:  # the caller's own setting comes back after it
+        minimize(
+            cost, start, jac=True, method="L-BFGS-B", bounds=Bounds(*ranges.T),
+            options={"maxiter": options.iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-7},
+        )  # fmt: skip
+    return best

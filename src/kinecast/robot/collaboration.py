@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from kinecast.datasets.repair import repair
 from kinecast.datasets.synthetic import Fetch, fetching
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import inverse
-from kinecast.prediction.checkpoint import ModelCard
 from kinecast.prediction.method import Method
 from kinecast.prediction.methods import read_method, shipped_methods
-from kinecast.prediction.outside import is_outside
+from kinecast.prediction.model_file import ModelCard
+from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell, standing_at
@@ -191,7 +190,7 @@ class Forecasters:
             OptionError: another name.
             ModelError: what the function gives is no method.
         """
-        if is_outside(name):
+        if is_plugin(name):
             if name not in self._outside:
                 self._outside[name] = read_method(Path(name))
             card, method = self._outside[name]

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from kinecast.prediction.forecast import Forecast, WorldDensity
 from scipy.stats import chi2
 
 from kinecast.body.limits import AngleLimit, JointLimits
@@ -18,8 +17,9 @@ from kinecast.evaluation.metrics import LEVELS
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
-from kinecast.prediction.baselines import constant_velocity, zero_velocity
 from kinecast.prediction.gaussian import PositionGaussian
+from kinecast.prediction.linear import constant_velocity, zero_velocity
+from kinecast.prediction.method import Forecast
 from kinecast.prediction.observation import Observation
 
 DT, N, T = 0.1, 4, 3

@@ -7,24 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kinecast.prediction.forecast import Method
 
-from kinecast.body.limits import AngleLimit, JointLimits, violations
+from kinecast.body.limits import AngleLimit, JointLimits, posture_bounds, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
-from kinecast.prediction.baselines import zero_velocity
-from kinecast.prediction.forecast import Method
 from kinecast.prediction.gaussian import (
     FLOOR,
     Examples,
     PositionGaussian,
     PostureGaussian,
-    posture_bounds,
-    posture_coordinates,
+    posture_examples,
     residual_factor,
     residual_moment,
     with_noise,
 )
+from kinecast.prediction.linear import zero_velocity
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 SAMPLES = 400
@@ -180,8 +179,8 @@ def test_one_sample_is_enough(trained: dict[str, Method], posed: Observation) ->
 
 
 def test_posture_coordinates_are_continuous_from_window_to_future(windows: TrainingWindows) -> None:
-    observed, future = posture_coordinates(windows.points[:40], windows.future_points[:40])
-    both = np.concatenate([observed, future], axis=1)
+    examples = posture_examples(windows.take(np.arange(40)))
+    both = np.concatenate([examples.observed, examples.future], axis=1)
     angles = [3, 4, 6, 7, 12, 13]
     assert np.abs(np.diff(both, axis=1)[..., angles]).max() < math.pi
 

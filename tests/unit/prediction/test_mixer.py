@@ -8,8 +8,8 @@ import pytest
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
-from kinecast.prediction.baselines import mean_from_arrays
 from kinecast.prediction.gaussian import PositionGaussian
+from kinecast.prediction.linear import mean_from_arrays
 from kinecast.prediction.mixer import Mixer, fit_mixer
 from kinecast.prediction.observation import Observation
 
@@ -27,7 +27,7 @@ def lines(seed: int, count: int = 300) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def mixer() -> Mixer:
     windows, futures = lines(0)
-    return fit_mixer(windows, futures, np.zeros(len(windows), int), steps=250, seed=0)
+    return fit_mixer(windows, futures, steps=250, seed=0)
 
 
 def test_it_learns_that_straight_motion_goes_on(mixer: Mixer) -> None:
@@ -51,9 +51,9 @@ def test_it_comes_back_from_its_arrays(mixer: Mixer) -> None:
 
 
 def test_its_gaussian_is_held_inside_limits_and_the_mean_is_not_moved(mixer: Mixer, posed: Observation) -> None:
-    free = PositionGaussian(FRAMES, STEPS, posed.dt, mixer, 0.05 * np.eye(18 * STEPS))
+    free = PositionGaussian(FRAMES, STEPS, posed.dt, mixer, 0.05 * np.eye(18 * STEPS), 0.002)
     limits = JointLimits()
-    held = free.with_limits(limits, 0.002)
+    held = free.with_limits(limits)
     forecast = held.forecast(posed, np.random.default_rng(0), 200)
     initial = postures_from_points(posed.points, continuous=True)[-1]
     postures = postures_from_points(posed.to_torso(forecast.samples), initial, continuous=True, usual=False)

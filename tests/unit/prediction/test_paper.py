@@ -6,15 +6,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from kinecast.prediction.forecast import Method
 
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.posture import points_from_postures, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
-from kinecast.prediction.forecast import Method
 from kinecast.prediction.observation import Observation, TrainingWindows
-from kinecast.prediction.paper import LENGTHS, PostureSeries
-from kinecast.prediction.rollout import SERIES
+from kinecast.prediction.paper import PostureSeries
+from kinecast.prediction.rollout import LENGTHS, SERIES
 
 EVERYTHING = AngleLimit(-2 * math.pi, 2 * math.pi, math.inf)
 LOOSE = JointLimits(EVERYTHING, EVERYTHING, EVERYTHING, EVERYTHING)
@@ -106,5 +106,5 @@ def test_a_process_sees_the_last_values_of_its_own_series_alone(trained: dict[st
 
 def test_there_is_a_process_for_all_but_the_bones(trained: dict[str, Method]) -> None:
     assert set(range(18)) - set(SERIES) == set(LENGTHS)
-    assert trained["gp_angles"].stack.centre.shape == (len(SERIES),)
-    assert trained["gp_xyz"].stack.centre.shape == (18,)
+    assert trained["gp_angles"].processes.centre.shape == (len(SERIES),)
+    assert trained["gp_xyz"].processes.centre.shape == (18,)

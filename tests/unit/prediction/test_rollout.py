@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from kinecast.prediction.forecast import Method
 from scipy import stats
 
 from kinecast.body.limits import AngleLimit, JointLimits, bounds, posture_bounds, violations
 from kinecast.body.posture import ANGLES, coordinates_from_postures, postures_from_points
-from kinecast.prediction.forecast import Method
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.rollout import UNIFORM, polar, roll_gaussian, roll_positions, roll_series
 
@@ -221,7 +221,7 @@ def series_draws(
     offsets = noise_sd * rng.standard_normal((draws, 18))
     uniforms = rng.random((draws, method.steps, 8))
     rolled = roll_series(
-        coordinates_from_postures(track), offsets, method.stack, method.length_spread, track[-1],
+        coordinates_from_postures(track), offsets, method.processes, method.length_spread, track[-1],
         normals, uniforms, *posture_bounds(limits), method.dt,
     )  # fmt: skip
     return rolled, normals, track[-1]
@@ -262,11 +262,11 @@ def test_series_of_positions_are_their_means_and_spreads(trained: dict[str, Meth
     rng = np.random.default_rng(13)
     normals = rng.standard_normal((20, method.steps, 18))
     window = observation.positions.reshape(-1, 18)
-    positions, means, spreads = roll_positions(window, np.zeros((20, 18)), method.stack, normals)
+    positions, means, spreads = roll_positions(window, np.zeros((20, 18)), method.processes, normals)
     np.testing.assert_allclose(positions, means + spreads * normals, atol=1e-12)
     assert (spreads > 0).all()
     # A sample's law depends on nothing but its own past: fed back as the window, it is the first step's law.
     later = np.concatenate([window[1:], positions[7, :1]])
-    _, again, widths = roll_positions(later, np.zeros((1, 18)), method.stack, normals[:1])
+    _, again, widths = roll_positions(later, np.zeros((1, 18)), method.processes, normals[:1])
     np.testing.assert_allclose(again[0, 0], means[7, 1], atol=1e-9)
     np.testing.assert_allclose(widths[0, 0], spreads[7, 1], atol=1e-9)

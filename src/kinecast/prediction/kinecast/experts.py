@@ -228,7 +228,7 @@ def fit_radial_basis(
     It is the mean of a sparse Gaussian process with a linear mean function and a heavy-tailed likelihood;
     pseudo-inputs are k-means centres.
     """
-    from kinecast.prediction.training import centres
+    from kinecast.prediction.sparse_gp import centres
 
     data = _Examples(observed, future)
     count = len(data.features)
@@ -305,7 +305,6 @@ def fit_network(
 
 
 def _network_loss(time: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]
-    from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
 
     jax = jax_in_one_thread()
     import jax.numpy as jnp

@@ -145,8 +145,7 @@ def fit_gate(
         futures: what came, likewise [m].
         seed: of the batches.
     """
-    from kinecast.prediction.descent import descend
-    from kinecast.prediction.jax_in_one_thread import jax_in_one_thread
+    from kinecast.prediction.descent import descend, jax_in_one_thread
 
     jax = jax_in_one_thread()
     import jax.numpy as jnp

@@ -11,12 +11,12 @@ from kinecast.cli.method_set import method_names
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.methods import read_method
 from kinecast.prediction.observation import TrainingWindows
-from kinecast.prediction.outside import is_outside, trained_outside, trained_outside_on
+from kinecast.prediction.plugins import is_plugin, load_plugin, train_plugin
 
 MODULE = """
 import numpy as np
 from dataclasses import dataclass, replace
-from kinecast.prediction.baselines import zero_velocity
+from kinecast.prediction.linear import zero_velocity
 from kinecast.prediction.gaussian import PositionGaussian
 
 good = PositionGaussian(6, 3, 1 / 30, zero_velocity(6, 3), 0.1 * np.eye(54))
@@ -58,10 +58,10 @@ def test_names_with_a_colon_are_functions_unless_they_are_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert is_outside("own.methods:fit")
-    assert not any(map(is_outside, ["ridge", "a/b.npz", "C:\\models\\a.npz", "a:b:c", "a:"]))
+    assert is_plugin("own.methods:fit")
+    assert not any(map(is_plugin, ["ridge", "a/b.npz", "C:\\models\\a.npz", "a:b:c", "a:"]))
     Path("model:one").touch()
-    assert not is_outside("model:one")
+    assert not is_plugin("model:one")
     assert method_names("ridge, a.b:fit") == ["ridge", "a.b:fit"]
     assert method_names("a.b:fit") == ["a.b:fit"]
     with pytest.raises(OptionError, match="unknown method ridges;"):
@@ -69,7 +69,7 @@ def test_names_with_a_colon_are_functions_unless_they_are_files(
 
 
 def test_methods_are_taken(windows: TrainingWindows) -> None:
-    assert trained_outside_on("their_methods:fit", windows).steps == 3
+    assert train_plugin("their_methods:fit", windows).steps == 3
     card, method = read_method(Path("their_methods:trained"))
     assert (card.method, card.frames, card.steps) == ("their_methods:trained", method.frames, method.steps)
     assert card.rate == pytest.approx(30.0)
@@ -93,9 +93,9 @@ def test_what_breaks_the_contract_is_named(
 ) -> None:
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # users have no type checks at run time
     with pytest.raises(error, match=f"^{name}: .*{problem}"):
-        trained_outside(name)
+        load_plugin(name)
 
 
 def test_another_horizon_is_named(windows: TrainingWindows) -> None:
     with pytest.raises(ModelError, match=r"is for 6 frames, 4 steps, 0\.0333333 s; trained on 6 frames, 3 steps"):
-        trained_outside_on("their_methods:long", windows)
+        train_plugin("their_methods:long", windows)

@@ -1,4 +1,4 @@
-"""Methods from elsewhere, named MODULE:FUNCTION: imported, called, and held to what every method must do.
+"""Plug-ins, methods of the user's own named MODULE:FUNCTION: imported, called, held to what every method must do.
 
 Naming one runs its code, as Python's own `-m` does; nothing in a model file ever is.
 """
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from kinecast.errors import ModelError, OptionError
-from kinecast.prediction.forecast import Follower, Forecast, Method, forecast_with
+from kinecast.prediction.method import Forecast, Method
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.tasks.workers import CARRIED
 
-__all__ = ["is_outside", "trained_outside", "trained_outside_on"]
+__all__ = ["is_plugin", "load_plugin", "train_plugin"]
 
 NAME = re.compile(r"[\w.]+:[^\W\d]\w*")
 SAMPLES = 8
@@ -27,12 +27,12 @@ STANDING = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1
 """(6, 3) somebody who stands [m]."""
 
 
-def is_outside(name: str) -> bool:
+def is_plugin(name: str) -> bool:
     """Whether a name is MODULE:FUNCTION, and no file."""
     return NAME.fullmatch(name) is not None and not os.path.exists(name)
 
 
-def trained_outside(name: str) -> Method:
+def load_plugin(name: str) -> Method[Any]:
     """What a function without arguments gives: a trained method.
 
     Args:
@@ -45,7 +45,7 @@ def trained_outside(name: str) -> Method:
     return _checked(_function(name)(), name)
 
 
-def trained_outside_on(name: str, windows: TrainingWindows) -> Method:
+def train_plugin(name: str, windows: TrainingWindows) -> Method[Any]:
     """What a function makes of training windows: a method for windows like them.
 
     Args:
@@ -53,7 +53,7 @@ def trained_outside_on(name: str, windows: TrainingWindows) -> Method:
         windows: to train on.
 
     Raises:
-        OptionError, ModelError: as `trained_outside`; or it is for other windows.
+        OptionError, ModelError: as `load_plugin`; or it is for other windows.
     """
     method = _function(name)(windows)
     frames, steps, dt = windows.shape
@@ -80,24 +80,23 @@ def _function(name: str) -> Callable[..., Any]:
     return found
 
 
-def _checked(method: object, name: str) -> Method:
+def _checked(method: object, name: str) -> Method[Any]:
     """A method whose forecast of somebody who stands is what a forecast must be.
 
     Raises:
         ModelError: it is not.
     """
     if not isinstance(method, Method):
-        wanted = "frames, steps, dt, forecast and to_arrays"
+        wanted = "frames, steps, dt, init_state, update, forecast and to_arrays"
         raise ModelError(f"{name}: gave {type(method).__name__}, which lacks one of {wanted}")
     steps = method.steps
     window = np.repeat(STANDING[None], method.frames, axis=0)
     observation = Observation(window, np.array([0.0, 0.0, 1.0]), method.dt)
-    memory = None
-    if isinstance(method, Follower):
-        memory = method.memory()
-        method.follow(memory, observation, window[-1])
     forecast, again = (
-        forecast_with(method, memory, observation, np.random.default_rng(0), SAMPLES, None) for _ in range(2)
+        method.forecast(
+            method.update(method.init_state(), observation, window[-1]), observation, np.random.default_rng(0), SAMPLES
+        )
+        for _ in range(2)
     )
     if not isinstance(forecast, Forecast):
         raise ModelError(f"{name}: forecast gave {type(forecast).__name__}, expected kinecast's Forecast")
@@ -105,7 +104,6 @@ def _checked(method: object, name: str) -> Method:
     for what, found, shape in (
         ("samples", forecast.samples, (SAMPLES, steps, 6, 3)),
         ("mean", forecast.mean, (steps, 6, 3)),
-        ("accepted", forecast.accepted, (steps,)),
         ("density.log_prob(mean)", log_prob, (steps,)),
     ):
         if np.shape(found) != shape or not np.isfinite(found).all():

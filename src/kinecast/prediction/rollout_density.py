@@ -13,16 +13,16 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit, prange
+from numba import njit
 
 from kinecast.body.limits import JointLimits, bounds, posture_bounds, speeds_within_wrist_speed
 from kinecast.body.posture import TURN, nearest_turn, other_branch, postures_from_points
-from kinecast.prediction.allowance import Allowance
-from kinecast.prediction.density import BLOCKS, block_log_det, combine, fault_log_prob, log_allowed
+from kinecast.prediction.density import JOINT_ORDER, block_log_det
 from kinecast.prediction.noise import angle_noise
+from kinecast.prediction.observation import Observation
 from kinecast.prediction.truncated_normal import noisy_log_pdf
 
-__all__ = ["PositionSeriesDensity", "PostureSeriesDensity"]
+__all__ = ["PositionRolloutBlocks", "PostureRolloutBlocks"]
 
 HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 FAINT = 40.0
@@ -37,7 +37,7 @@ MOST_NOISE = 0.95
 """Greatest share of a learned spread that can be the sensor's."""
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _normal_mixture(
     x: Float[np.ndarray, "T D"], means: Float[np.ndarray, "S T D"], spreads: Float[np.ndarray, "S T D"]
@@ -45,7 +45,7 @@ def _normal_mixture(
     """log of the mean over samples of N(x; mean, spread²), each number for itself."""
     draws, steps, size = means.shape
     out = np.empty((steps, size))
-    for t in prange(steps):
+    for t in range(steps):
         for d in range(size):
             top, total = -np.inf, 0.0
             for s in range(draws):
@@ -79,7 +79,7 @@ def _parts(spread: float, noise: float) -> tuple[float, float]:
     return math.sqrt(spread * spread - tau * tau), tau
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _angle_mixture(
     theta: Float[np.ndarray, "B T 4"],
@@ -103,7 +103,7 @@ def _angle_mixture(
     branches, steps, _ = theta.shape
     draws = means.shape[0]
     out = np.empty(steps)
-    for t in prange(steps):
+    for t in range(steps):
         top, total = -np.inf, 0.0
         for branch in range(branches):
             log_density = 0.0
@@ -153,43 +153,44 @@ def _ceilings(
     return out
 
 
+ONE = np.zeros(1)
+"""log weight of the only component: what is mixed is each number for itself."""
+
+
 @dataclass(frozen=True)
-class PositionSeriesDensity:
-    """Product of mixtures over the 18 coordinates of the six joints.
+class PositionRolloutBlocks:
+    """Product of mixtures over the 18 coordinates of the six joints in the world.
 
     Attributes:
-        mean: (T, 6, 3) expected positions [m].
+        observation: places the torso frame.
         means, spreads: (S, T, 18) the normal behind each draw [m].
     """
 
-    mean: Float[np.ndarray, "T 6 3"]
+    observation: Observation
     means: Float[np.ndarray, "S T 18"]
     spreads: Float[np.ndarray, "S T 18"]
 
-    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
-        """(T,) log density [nats per m^18]; NaN where a joint is NaN."""
-        terms = _normal_mixture(positions.reshape(-1, 18), self.means, self.spreads).reshape(-1, 6, 3).sum(axis=2)
-        inlier = np.stack([terms[:, list(block)].sum(axis=1) for block in BLOCKS], axis=1)
-        result = combine(inlier, fault_log_prob(positions, self.mean))
-        return np.where(np.isfinite(positions).all(axis=(1, 2)), result, np.nan)
+    def log_blocks(
+        self, poses: Float[np.ndarray, "T 6 3"]
+    ) -> tuple[Float[np.ndarray, "1"], Float[np.ndarray, "1 T 3"]]:
+        """See kinecast.prediction.density.BlockDensity."""
+        terms = _normal_mixture(self.observation.to_world(poses).reshape(-1, 18), self.means, self.spreads)
+        return ONE, terms.reshape(-1, 6, 3)[:, JOINT_ORDER].reshape(1, -1, 3, 6).sum(axis=-1)
 
 
 @dataclass(frozen=True)
-class PostureSeriesDensity:
+class PostureRolloutBlocks:
     """Product of mixtures over posture numbers, carried to positions by the Jacobian's determinant.
 
     Attributes:
-        mean: (T, 6, 3) expected positions, torso frame [m].
         postures: (S, T, 18) draws.
         means, spreads: (S, T, 18) the normal behind each number of them.
         initial: (18,) last observed posture.
         limits: of the angles; None where they were drawn free.
         dt: time step [s].
         noise: spread of a measured joint about the true one [m]; the part of each spread that bounds do not bind.
-        allowance: the scene, or None.
     """
 
-    mean: Float[np.ndarray, "T 6 3"]
     postures: Float[np.ndarray, "S T 18"]
     means: Float[np.ndarray, "S T 18"]
     spreads: Float[np.ndarray, "S T 18"]
@@ -197,18 +198,12 @@ class PostureSeriesDensity:
     limits: JointLimits | None
     dt: float
     noise: float
-    allowance: Allowance | None = None
 
-    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
-        """(T,) log density [nats per m^18] of torso-frame points; NaN where a joint is NaN."""
-        finite = np.isfinite(positions).all(axis=(1, 2))
-        result = np.full(len(positions), np.nan)
-        if finite.any():
-            result[finite] = self._log_prob(np.where(finite[:, None, None], positions, self.mean))[finite]
-        return result
-
-    def _log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
-        postures = postures_from_points(positions, self.initial, continuous=False)
+    def log_blocks(
+        self, poses: Float[np.ndarray, "T 6 3"]
+    ) -> tuple[Float[np.ndarray, "1"], Float[np.ndarray, "1 T 3"]]:
+        """See kinecast.prediction.density.BlockDensity."""
+        postures = postures_from_points(poses, self.initial, continuous=False)
         plain = _normal_mixture(postures, self.means, self.spreads)
         before = np.concatenate(
             [np.broadcast_to(self.initial, (len(self.postures), 1, 18)), self.postures[:, :-1]], axis=1
@@ -225,5 +220,4 @@ class PostureSeriesDensity:
                 branches, self.means, self.spreads, before, at, lower, upper, ceilings, self.dt, spread
             )
             blocks.append(angles + plain[:, at + 4 : at + 6].sum(axis=1))
-        inlier = np.stack(blocks, axis=1) - block_log_det(postures)
-        return combine(inlier, fault_log_prob(positions, self.mean), log_allowed(self.allowance, positions))
+        return ONE, (np.stack(blocks, axis=1) - block_log_det(postures))[None]

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kinecast.prediction.forecast import Method
 
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.errors import KinecastError, ModelError
-from kinecast.prediction import checkpoint
-from kinecast.prediction.checkpoint import ModelCard, read_checkpoint, write_checkpoint
-from kinecast.prediction.forecast import Method
+from kinecast.prediction import model_file
 from kinecast.prediction.methods import TrainingOptions, card_of, read_method, save_method
+from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 CARD = ModelCard("zero_velocity", 6, 3, 30.0)
@@ -77,8 +77,8 @@ def test_every_method_forecasts_the_same_once_read_back(
 def test_a_card_keeps_everything(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     card = ModelCard("kalman", 6, 15, 25.0, limits=LIMITS, noise=0.002, trained_on=("ä", "b/0"), windows=9, label="x",
                      seed=4, notes=("CC-BY",))  # fmt: skip
-    write_checkpoint(tmp_path / "m.npz", card, arrays)
-    read, back = read_checkpoint(tmp_path / "m.npz")
+    write_model_file(tmp_path / "m.npz", card, arrays)
+    read, back = read_model_file(tmp_path / "m.npz")
     assert read == card
     assert set(back) == set(arrays)
     for name in arrays:
@@ -89,40 +89,40 @@ def test_nothing_is_half_written(
     tmp_path: Path, arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "m.npz"
-    write_checkpoint(path, CARD, arrays)
+    write_model_file(path, CARD, arrays)
     before = path.read_bytes()
 
     def full(file: io.BufferedWriter, **_: object) -> None:
         file.write(b"some of it")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint.np, "savez_compressed", full)
+    monkeypatch.setattr(model_file.np, "savez_compressed", full)
     with pytest.raises(ModelError, match="No space left"):
-        write_checkpoint(path, replace(CARD, seed=1), arrays)
+        write_model_file(path, replace(CARD, seed=1), arrays)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["m.npz"]
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(checkpoint.np, "savez_compressed", interrupted)
+    monkeypatch.setattr(model_file.np, "savez_compressed", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        write_checkpoint(path, CARD, arrays)
+        write_model_file(path, CARD, arrays)
     assert [file.name for file in tmp_path.iterdir()] == ["m.npz"]
 
 
 def test_places_that_cannot_be_written(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     with pytest.raises(ModelError, match="cannot write"):
-        write_checkpoint(tmp_path / "missing" / "m.npz", CARD, arrays)
+        write_model_file(tmp_path / "missing" / "m.npz", CARD, arrays)
     (tmp_path / "folder.npz").mkdir()
     with pytest.raises(ModelError, match="cannot write"):
-        write_checkpoint(tmp_path / "folder.npz", CARD, arrays)
+        write_model_file(tmp_path / "folder.npz", CARD, arrays)
     assert [file.name for file in tmp_path.iterdir()] == ["folder.npz"]
 
 
 def test_objects_are_not_written(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="Object arrays"):
-        write_checkpoint(tmp_path / "m.npz", CARD, {"x": np.array([{}], dtype=object)})
+        write_model_file(tmp_path / "m.npz", CARD, {"x": np.array([{}], dtype=object)})
     assert not list(tmp_path.iterdir())
 
 
@@ -136,7 +136,7 @@ class Bomb:
 def broken_files(folder: Path, arrays: dict[str, np.ndarray]) -> dict[str, Path]:
     """Files that are no models, each in its own way."""
     whole = folder / "whole.npz"
-    write_checkpoint(whole, CARD, arrays)
+    write_model_file(whole, CARD, arrays)
     content = whole.read_bytes()
     card = npy(np.frombuffer(CARD.to_json().encode(), np.uint8))
     files = {
@@ -188,17 +188,17 @@ def test_whatever_is_no_model_is_refused_by_name(tmp_path: Path, arrays: dict[st
 def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = packed(tmp_path / "bomb.npz", {"x.npy": npy(np.zeros(8_000_000))})
     assert path.stat().st_size < 100_000
-    monkeypatch.setattr(checkpoint, "LARGEST", 10_000_000)
+    monkeypatch.setattr(model_file, "LARGEST", 10_000_000)
     tracemalloc.start()
     with pytest.raises(ModelError, match="allowed are 10000000"):
-        read_checkpoint(path)
+        read_model_file(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2_000_000
-    monkeypatch.setattr(checkpoint, "MOST_ARRAYS", 5)
+    monkeypatch.setattr(model_file, "MOST_ARRAYS", 5)
     many = packed(tmp_path / "many.npz", {f"{k}.npy": npy(np.zeros(1)) for k in range(6)})
     with pytest.raises(ModelError, match="6 arrays"):
-        read_checkpoint(many)
+        read_model_file(many)
 
 
 def test_a_large_file_is_not_even_opened(tmp_path: Path) -> None:
@@ -206,7 +206,7 @@ def test_a_large_file_is_not_even_opened(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(2 * 2**30)  # sparse: takes no room
     with pytest.raises(ModelError, match="2147483648 bytes"):
-        read_checkpoint(path)
+        read_model_file(path)
 
 
 @pytest.mark.parametrize(
@@ -262,14 +262,14 @@ def test_arrays_that_do_not_fit_their_method(
                 changed = {k: v for k, v in method.to_arrays().items() if k != array}
                 if replacement is not None:
                     changed[array] = replacement
-                write_checkpoint(path, card, changed)
+                write_model_file(path, card, changed)
                 with pytest.raises(ModelError, match=r"m\.npz"):
                     read_method(path)
                 assert change
         for frames, steps in ((card.frames + 1, card.steps), (card.frames, card.steps + 1)):
             if name == "gp_xyz" and steps != card.steps:
                 continue  # one-step processes go as far as they are asked to
-            write_checkpoint(path, replace(card, frames=frames, steps=steps), method.to_arrays())
+            write_model_file(path, replace(card, frames=frames, steps=steps), method.to_arrays())
             with pytest.raises(ModelError, match=r"m\.npz"):
                 read_method(path)
 
@@ -286,7 +286,7 @@ def test_spreads_that_are_not_above_zero_are_refused(
     array: str,
 ) -> None:
     arrays = trained[name].to_arrays()
-    write_checkpoint(
+    write_model_file(
         tmp_path / "m.npz",
         card_of(name, trained[name], windows, options, "", []),
         {**arrays, array: 0.0 * arrays[array]},

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from kinecast.errors import ModelError
-from kinecast.prediction.baselines import (
+from kinecast.prediction.linear import (
     LinearMap,
     WindowFilter,
-    _kalman_weights,
     constant_velocity,
     damped_velocity,
     fit_ridge,
     kalman,
+    kalman_filter,
     mean_from_arrays,
     zero_velocity,
 )
@@ -49,7 +49,7 @@ def test_constant_velocity_is_the_slope_over_two_intervals() -> None:
 def test_every_row_of_every_filter_sums_to_one() -> None:
     windows, futures = lines(np.random.default_rng(1), 30)
     filters = [zero_velocity(N, T), constant_velocity(N, T), damped_velocity(windows, futures, DT)]
-    filters += [WindowFilter(_kalman_weights(N, T, ratio)) for ratio in (1e-4, 1.0, 1e4)]
+    filters += [kalman_filter(N, T, ratio) for ratio in (1e-4, 1.0, 1e4)]
     for model in filters:
         np.testing.assert_allclose(model.weights.sum(axis=1), 1.0, atol=1e-9)
 
@@ -57,20 +57,20 @@ def test_every_row_of_every_filter_sums_to_one() -> None:
 @pytest.mark.parametrize("ratio", [1e-4, 1e-2, 1.0, 1e4])
 def test_the_kalman_filter_is_exact_on_straight_lines(ratio: float) -> None:
     windows, futures = lines(np.random.default_rng(2), 5)
-    np.testing.assert_allclose(WindowFilter(_kalman_weights(N, T, ratio)).mean(windows), futures, atol=1e-9)
+    np.testing.assert_allclose(kalman_filter(N, T, ratio).mean(windows), futures, atol=1e-9)
 
 
 def test_the_kalman_filter_is_least_squares_without_and_the_last_interval_with_much_acceleration() -> None:
     time = np.arange(N) - (N - 1.0)
     steps = np.arange(1, T + 1)
     fit = np.linalg.pinv(np.stack([np.ones(N), time], axis=1))
-    np.testing.assert_allclose(_kalman_weights(N, T, 1e-12), fit[0] + steps[:, None] * fit[1], atol=1e-6)
+    np.testing.assert_allclose(kalman_filter(N, T, 1e-12).weights, fit[0] + steps[:, None] * fit[1], atol=1e-6)
     last = np.zeros((T, N))
     last[:, -1], last[:, -2] = 1.0 + steps, -steps
     # Even with unlimited acceleration the filter keeps a share of older slopes; the value itself it takes as it is.
-    stiff = _kalman_weights(N, T, 1e9)
+    stiff = kalman_filter(N, T, 1e9).weights
     np.testing.assert_allclose(stiff[:, :-2].sum(axis=1) + stiff[:, -2] + stiff[:, -1], 1.0, atol=1e-9)
-    assert np.abs(stiff - last).max() < np.abs(_kalman_weights(N, T, 1e-2) - last).max()
+    assert np.abs(stiff - last).max() < np.abs(kalman_filter(N, T, 1e-2).weights - last).max()
 
 
 def test_the_kalman_filter_agrees_with_a_textbook_one() -> None:
@@ -84,7 +84,7 @@ def test_the_kalman_filter_agrees_with_a_textbook_one() -> None:
         x, P = x + (K * (z - H @ x)).ravel(), (np.eye(2) - K @ H) @ P
         x, P = F @ x, F @ P @ F.T + Q
     expected = x[0] + x[1] * np.arange(T)
-    np.testing.assert_allclose(_kalman_weights(N, T, ratio) @ window, expected, atol=1e-5)
+    np.testing.assert_allclose(kalman_filter(N, T, ratio).weights @ window, expected, atol=1e-5)
 
 
 def test_kalman_takes_smooth_weights_for_noise_and_sharp_ones_for_turns() -> None:

@@ -7,6 +7,7 @@ import json
 import os
 import tempfile
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import ModelError
 
-__all__ = ["ModelCard", "read_checkpoint", "write_checkpoint"]
+__all__ = ["ModelCard", "covariance_factor", "read_model_file", "shaped", "write_model_file"]
 
 FORMAT = "kinecast-model"
 VERSION = 1
@@ -82,52 +83,51 @@ class ModelCard:
             ModelError: not a card of this version, or a value outside its range.
         """
         try:
-            data: dict[str, Any] = json.loads(text)
+            data = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise ModelError(f"{where}: the model's card is not JSON ({error})") from None
-        if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
-            raise ModelError(f"{where}: not a kinecast model")
-        version = data.pop("version", None)
-        if version != VERSION:
-            raise ModelError(f"{where}: model version {version}; this kinecast reads version {VERSION}")
-        names = {f.name for f in dataclasses.fields(ModelCard)}
-        if not {"method", "frames", "steps", "rate"} <= set(data) <= names:
-            raise ModelError(f"{where}: card with entries {sorted(data)}; expected {sorted(names)}")
         try:
-            for name, kinds in FIELD_KINDS.items():
-                _check_kind(name, data.get(name, kinds[0]()), kinds)
-            for name in ("joints", "trained_on", "notes"):
-                data[name] = tuple(str(item) for item in data.get(name, ()))
-            data["limits"] = _limits_from(data.get("limits", {}))
-            card = ModelCard(**data)
+            return _card_from(data)
         except (TypeError, ValueError) as error:
             raise ModelError(f"{where}: {error}") from None
-        if card.joints != ARM_JOINTS:
-            raise ModelError(f"{where}: a model of the joints {card.joints}; this kinecast predicts {ARM_JOINTS}")
-        if not (2 <= card.frames <= 1000 and 1 <= card.steps <= 1000 and 0 < card.rate <= 1000):
-            raise ModelError(
-                f"{where}: frames {card.frames}, steps {card.steps}, rate {card.rate}; "
-                "allowed are 2..1000, 1..1000 and (0, 1000] Hz"
-            )
-        if not 0 <= card.noise <= 1:
-            raise ModelError(f"{where}: noise {card.noise} m is outside 0..1")
-        return card
+
+
+def _card_from(data: Any) -> ModelCard:
+    """Raises TypeError or ValueError, without the file's name."""
+    if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
+        raise ValueError("not a kinecast model")
+    version = data.pop("version", None)
+    if version != VERSION:
+        raise ValueError(f"model version {version}; this kinecast reads version {VERSION}")
+    names = {f.name for f in dataclasses.fields(ModelCard)}
+    if not {"method", "frames", "steps", "rate"} <= set(data) <= names:
+        raise ValueError(f"card with entries {sorted(data)}; expected {sorted(names)}")
+    for name, kinds in FIELD_KINDS.items():
+        _check_kind(name, data.get(name, kinds[0]()), kinds)
+    for name in ("joints", "trained_on", "notes"):
+        data[name] = tuple(str(item) for item in data.get(name, ()))
+    card = ModelCard(**{**data, "limits": _limits_from(data.get("limits", {}))})
+    if card.joints != ARM_JOINTS:
+        raise ValueError(f"a model of the joints {card.joints}; this kinecast predicts {ARM_JOINTS}")
+    if not (2 <= card.frames <= 1000 and 1 <= card.steps <= 1000 and 0 < card.rate <= 1000):
+        raise ValueError(
+            f"frames {card.frames}, steps {card.steps}, rate {card.rate}; allowed are 2..1000, 1..1000 and (0, 1000] Hz"
+        )
+    if not 0 <= card.noise <= 1:
+        raise ValueError(f"noise {card.noise} m is outside 0..1")
+    return card
 
 
 def _limits_from(data: Any) -> JointLimits:
     _check_kind("limits", data, (dict,))
-    angles: dict[str, AngleLimit] = {}
+    wrist_speed = data.pop("wrist_speed", None)
+    if wrist_speed is not None:
+        _check_kind("wrist_speed", wrist_speed, NUMBER)
     for name, limit in data.items():
-        if name == "wrist_speed":
-            continue
         _check_kind(name, limit, (dict,))
         for entry, value in limit.items():
             _check_kind(f"{name}.{entry}", value, NUMBER)
-        angles[name] = AngleLimit(**limit)
-    wrist_speed = data.get("wrist_speed")
-    if wrist_speed is not None:
-        _check_kind("wrist_speed", wrist_speed, NUMBER)
-    return JointLimits(**angles, wrist_speed=wrist_speed)
+    return JointLimits(**{name: AngleLimit(**limit) for name, limit in data.items()}, wrist_speed=wrist_speed)
 
 
 def _check_kind(name: str, value: object, kinds: tuple[type, ...]) -> None:
@@ -136,7 +136,7 @@ def _check_kind(name: str, value: object, kinds: tuple[type, ...]) -> None:
         raise TypeError(f"{name} is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}")
 
 
-def write_checkpoint(path: Path, card: ModelCard, arrays: dict[str, np.ndarray]) -> None:
+def write_model_file(path: Path, card: ModelCard, arrays: Mapping[str, np.ndarray]) -> None:
     """Writes a model whole or not at all: under another name first, then moved into place.
 
     Raises:
@@ -158,7 +158,7 @@ def write_checkpoint(path: Path, card: ModelCard, arrays: dict[str, np.ndarray])
             Path(partial).unlink(missing_ok=True)
 
 
-def read_checkpoint(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
+def read_model_file(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
     """The card and arrays of a model file.
 
     Raises:
@@ -186,3 +186,29 @@ def read_checkpoint(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
         if array.dtype.kind not in "fiub" or not np.isfinite(array).all():
             raise ModelError(f"{path}: array {name} holds something other than finite numbers")
     return card, arrays
+
+
+def shaped(arrays: Mapping[str, np.ndarray], name: str, *shape: int) -> np.ndarray:
+    """An array of floats by its name.
+
+    Raises:
+        ModelError: missing, or of another shape.
+    """
+    if name not in arrays:
+        raise ModelError(f"array {name} is missing; present are {sorted(arrays)}")
+    array = np.ascontiguousarray(arrays[name], dtype=float)
+    if array.shape != shape:
+        raise ModelError(f"array {name} of shape {array.shape}; expected {shape}")
+    return array
+
+
+def covariance_factor(arrays: Mapping[str, np.ndarray], name: str, size: int) -> np.ndarray:
+    """(K, K) lower factor of a covariance by its name.
+
+    Raises:
+        ModelError: missing, of another shape, or no such factor.
+    """
+    factor = shaped(arrays, name, size, size)
+    if np.triu(factor, 1).any() or not (np.diag(factor) > 0).all():
+        raise ModelError(f"array {name} is no lower triangle with a positive diagonal")
+    return factor

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.errors import ModelError
-from kinecast.prediction.arrays import shaped
 from kinecast.prediction.mixer import mixer_from_arrays
+from kinecast.prediction.model_file import shaped
 
 __all__ = [
     "LinearMap",
@@ -24,6 +24,8 @@ __all__ = [
     "damped_velocity",
     "fit_ridge",
     "kalman",
+    "kalman_filter",
+    "mean_from_arrays",
     "zero_velocity",
 ]
 
@@ -34,6 +36,9 @@ TIME_CONSTANTS = np.array(
     [0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.5, 5.0, 20.0]
 )
 """Time constants tried for the damped velocity [s]."""
+
+NOISE_RATIOS = 10.0 ** np.arange(-4.0, 4.25, 0.25)
+"""Ratios q/r tried for the Kalman filter, per frame cubed."""
 
 RIDGES = 10.0 ** np.arange(-4.0, 5.0)
 """Ridge penalties tried, relative to standardised features."""
@@ -119,29 +124,7 @@ def mean_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, 
 
 def zero_velocity(frames: int, steps: int) -> WindowFilter:
     """Nothing moves."""
-    weights = np.zeros((steps, frames))
-    weights[:, -1] = 1.0
-    return WindowFilter(weights)
-
-
-def _moving_on(velocity: Float[np.ndarray, " N"], reach: Float[np.ndarray, " T"]) -> WindowFilter:
-    """Last value + velocity [per frame] · reach [frames]."""
-    weights = np.outer(reach, velocity)
-    weights[:, -1] += 1.0
-    return WindowFilter(weights)
-
-
-def _difference(frames: int, intervals: int) -> Float[np.ndarray, " N"]:
-    """Weights of the mean velocity over the last intervals, per frame."""
-    velocity = np.zeros(frames)
-    velocity[-1], velocity[-1 - min(intervals, frames - 1)] = 1.0, -1.0
-    return velocity / min(intervals, frames - 1)
-
-
-def _fitted_velocity(frames: int, degree: int) -> Float[np.ndarray, " N"]:
-    """Weights of the slope at the last frame of a least-squares polynomial over the window."""
-    time = np.arange(frames) - (frames - 1.0)
-    return np.linalg.pinv(np.vander(time, degree + 1, increasing=True))[1]
+    return _moving_on(np.zeros(frames), np.zeros(steps))
 
 
 def constant_velocity(frames: int, steps: int) -> WindowFilter:
@@ -155,22 +138,11 @@ def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilt
     Estimators tried: the last interval, the last two, the slope of a line and of a parabola over the window. The pair
     with the least mean point error is taken, so the baseline is as strong as it can be.
     """
-    frames, steps = windows.shape[1], futures.shape[1]
-    estimators = [
-        _difference(frames, 1),
-        _difference(frames, 2),
-        _fitted_velocity(frames, 1),
-        _fitted_velocity(frames, 2),
-    ]
-    best: tuple[float, WindowFilter] | None = None
-    for velocity in estimators:
-        for tau in TIME_CONSTANTS / dt:
-            model = _moving_on(velocity, tau * -np.expm1(-np.arange(1, steps + 1) / tau))
-            error = _mean_point_error(model.mean(windows), futures)
-            if best is None or error < best[0]:
-                best = error, model
-    assert best is not None
-    return best[1]
+    frames, time = windows.shape[1], np.arange(1, futures.shape[1] + 1)
+    estimators = [_difference(frames, 1), _difference(frames, 2), _slope(frames, 1), _slope(frames, 2)]
+    reaches = [-tau * np.expm1(-time / tau) for tau in TIME_CONSTANTS / dt]
+    filters = [_moving_on(velocity, reach) for velocity in estimators for reach in reaches]
+    return min(filters, key=lambda model: _mean_point_error(model.mean(windows), futures))
 
 
 def kalman(windows: Windows, futures: Futures) -> WindowFilter:
@@ -180,18 +152,33 @@ def kalman(windows: Windows, futures: Futures) -> WindowFilter:
     the mean; it is the one with the least squared one-step innovation error on the windows.
     """
     frames, steps = windows.shape[1], futures.shape[1]
-    best: tuple[float, WindowFilter] | None = None
-    for ratio in 10.0 ** np.arange(-4.0, 4.25, 0.25):
-        model = WindowFilter(_kalman_weights(frames, steps, ratio))
-        error = float(np.mean((model.mean(windows)[:, 0] - futures[:, 0]) ** 2))
-        if best is None or error < best[0]:
-            best = error, model
-    assert best is not None
-    return best[1]
+    filters = [kalman_filter(frames, steps, ratio) for ratio in NOISE_RATIOS]
+    return min(filters, key=lambda model: float(np.mean((model.mean(windows)[:, 0] - futures[:, 0]) ** 2)))
 
 
-def _kalman_weights(frames: int, steps: int, ratio: float) -> Float[np.ndarray, "T N"]:
-    """(T, N) response of the filter's prediction to each measurement, unit time step, r = 1, q = ratio."""
+def _moving_on(velocity: Float[np.ndarray, " N"], reach: Float[np.ndarray, " T"]) -> WindowFilter:
+    """Last value + velocity [per frame] · reach [frames]."""
+    weights = np.outer(reach, velocity)
+    weights[:, -1] += 1.0
+    return WindowFilter(weights)
+
+
+def _difference(frames: int, intervals: int) -> Float[np.ndarray, " N"]:
+    """Weights of the mean velocity over the last intervals, per frame."""
+    intervals = min(intervals, frames - 1)
+    velocity = np.zeros(frames)
+    velocity[-1], velocity[-1 - intervals] = 1.0, -1.0
+    return velocity / intervals
+
+
+def _slope(frames: int, degree: int) -> Float[np.ndarray, " N"]:
+    """Weights of the slope at the last frame of a least-squares polynomial over the window."""
+    time = np.arange(frames) - (frames - 1.0)
+    return np.linalg.pinv(np.vander(time, degree + 1, increasing=True))[1]
+
+
+def kalman_filter(frames: int, steps: int, ratio: float) -> WindowFilter:
+    """The filter's prediction as weights of each measurement; unit time step, r = 1, q = ratio."""
     transition = np.array([[1.0, 1.0], [0.0, 1.0]])
     process = ratio * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
     # The first two frames fix the state exactly; its covariance follows from r = 1 on each of them.
@@ -206,7 +193,7 @@ def _kalman_weights(frames: int, steps: int, ratio: float) -> Float[np.ndarray, 
         innovation[k] += 1.0
         state = state + np.outer(gain, innovation)
         covariance = covariance - np.outer(gain, covariance[0])
-    return state[0] + np.arange(1, steps + 1)[:, None] * state[1]
+    return WindowFilter(state[0] + np.arange(1, steps + 1)[:, None] * state[1])
 
 
 def fit_ridge(windows: Windows, futures: Futures, folds: Int[np.ndarray, " W"]) -> LinearMap:
@@ -219,7 +206,7 @@ def fit_ridge(windows: Windows, futures: Futures, folds: Int[np.ndarray, " W"]) 
     """
     features = LinearMap.features(windows)
     targets = (futures - windows[:, -1:]).reshape(len(windows), -1)
-    names = np.unique(folds)
+    names, penalty = np.unique(folds), 1.0
     if len(names) > 1:
         errors = np.zeros(len(RIDGES))
         for name in names:
@@ -227,8 +214,6 @@ def fit_ridge(windows: Windows, futures: Futures, folds: Int[np.ndarray, " W"]) 
             for k, model in enumerate(_ridges(features[inside], targets[inside], RIDGES)):
                 errors[k] += _mean_point_error(model.mean(windows[outside]), futures[outside]) * outside.sum()
         penalty = RIDGES[int(np.argmin(errors))]
-    else:
-        penalty = 1.0
     return _ridges(features, targets, np.array([penalty]))[0]
 
 
