@@ -160,7 +160,7 @@ def open_source(
         return UdpSource(source.address, feed, network, XsensGuard(feed, XsensOptions.parse(settings, text)))
     if fused is not None:
         fused.expect(feed)
-    _deliverer(source, feed, fused)
+    _handler(source, feed, fused)
     guard = SenderGuard(feed, fused, settings.get("camera", ""))
     if source.kind in _ROS:
         from kinecast.cli.live_ros import open_source as open_ros_source
@@ -181,7 +181,7 @@ def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | Non
     options = RealSenseOptions.parse(source.settings, source.text)
     name = f"realsense:{source.place}"
     feed = mailbox.feed(name)
-    opened = RealSenseSource(name, feed, str(source.place), options, _deliverer(source, feed, fused))
+    opened = RealSenseSource(name, feed, str(source.place), options, _handler(source, feed, fused))
     if fused is not None and "camera" in source.settings:
         calibrated = fused.rig.cameras[source.settings["camera"]].intrinsics
         found = opened.intrinsics
@@ -191,14 +191,14 @@ def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | Non
     return opened
 
 
-def _deliverer(source: Endpoint, feed: Feed, fused: FusedSource | None) -> DetectionHandler | None:
+def _handler(source: Endpoint, feed: Feed, fused: FusedSource | None) -> DetectionHandler | None:
     """Where a source delivers what its camera of the rig sees; None where it is of no such camera."""
     camera = source.settings.get("camera")
     if camera is None:
         return None
     if fused is None:
         raise OptionError(f"{source.text}: a camera needs --rig, the file that says where it stands")
-    return fused.deliverer(camera, feed)
+    return fused.handler(camera, feed)
 
 
 def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> Sink:

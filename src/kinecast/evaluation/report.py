@@ -42,7 +42,7 @@ from kinecast.evaluation.plots import (
 )
 from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.method import Method
+from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.tasks.workers import Progress, Workers
 
 try:
@@ -107,7 +107,12 @@ def _busiest(
     path[~np.isfinite(recording.future).all(axis=(1, 2, 3))] = -1.0
     row = int(np.argsort(path)[int(0.95 * (len(path) - 1))])
     seen = recording.observations[row]
-    forecast = method.forecast(seen, np.random.default_rng(options.seed), options.samples, scene)
+    state = method.init_state()
+    for frame, observation, measured in recording.history:
+        if frame > recording.frames[row]:
+            break
+        state = method.update(state, observation, measured)
+    forecast = forecast_in_scene(method, state, seen, np.random.default_rng(options.seed), options.samples, scene)
     moment = Moment(seen.positions, forecast.samples, forecast.mean, seen.dt, recording.future[row], seen.stamp)
     return moment, f"{recording.name} at {seen.stamp:.1f} s"
 
