@@ -119,7 +119,7 @@ class ErrorModel:
     def factor_in(
         self, scale: Float[np.ndarray, "T 6"], rotation: Float[np.ndarray, "3 3"]
     ) -> Float[np.ndarray, "T 6 3 R"]:
-        """(T, 6, 3, R) factor of the covariance of the error [m], in the frame to which `rotation` takes the person's axes."""
+        """(T, 6, 3, R) factor of the error's covariance [m], in the frame to which `rotation` takes the person's axes."""
         return (scale[..., None, None] * (rotation @ self._axes)) @ self.factor
 
     def whitened(

@@ -305,6 +305,7 @@ def fit_network(
 
 
 def _network_loss(time: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]
+    from kinecast.prediction.descent import jax_in_one_thread
 
     jax = jax_in_one_thread()
     import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""How wrong each forecaster has been on the person in view lately: errors come due frame by frame, and are forgotten."""
+"""How wrong each forecaster has been on the person in view: errors come due frame by frame, and are forgotten."""
 
 from __future__ import annotations
 
