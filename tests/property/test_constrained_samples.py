@@ -19,6 +19,7 @@ from kinecast.geometry.shapes import Box, HalfSpace, Shape, Sphere
 from kinecast.pipeline import training_windows
 from kinecast.prediction.gaussian import PostureGaussian
 from kinecast.prediction.linear import constant_velocity
+from kinecast.prediction.method import forecast_in_scene
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.paper import PostureSeries
@@ -109,7 +110,7 @@ def drawn(count: int) -> st.SearchStrategy[Numbers]:
 def assert_nothing_violated(
     method: PostureGaussian | PostureSeries, seen: Observation, held: JointLimits, scene: Scene
 ) -> None:
-    forecast = method.forecast(seen, np.random.default_rng(0), SAMPLES, scene)
+    forecast = forecast_in_scene(method, None, seen, np.random.default_rng(0), SAMPLES, scene)
     assert np.isfinite(forecast.samples).all()
     initial = postures_from_points(seen.points, continuous=True)[-1]
     postures = postures_from_points(seen.to_torso(forecast.samples), initial, continuous=True, usual=False)
@@ -118,7 +119,7 @@ def assert_nothing_violated(
     position, speed = violations(postures, initial, seen.dt, held)
     assert not position.any()
     assert not speed.any()
-    if not forecast.blocked:
+    if forecast.effective_sample_size != 0:
         assert scene.free(forecast.samples, seen.times(STEPS)).all()
     assert not np.isnan(forecast.density.log_prob(forecast.mean)).any()
 

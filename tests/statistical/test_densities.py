@@ -18,6 +18,7 @@ from kinecast.body.posture import log_det_jacobian, points_from_postures, postur
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
 from kinecast.prediction import density as density_module
+from kinecast.prediction.method import forecast_in_scene
 from kinecast.prediction.methods import shipped_methods
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.paper import PostureSeries
@@ -84,11 +85,11 @@ def test_the_exact_density_is_that_of_the_samples(method: PostureSeries, seen: O
     limits = binding(seen) if constrained else None
     # All but no sensor noise: the law of the samples themselves.
     method = replace(method, limits=limits, noise=1e-7)
-    samples = method.forecast(seen, np.random.default_rng(0), COUNT).samples
+    samples = forecast_in_scene(method, None, seen, np.random.default_rng(0), COUNT, None).samples
     last = postures_from_points(seen.points, continuous=True)[-1]
     start = np.broadcast_to(last, (COUNT, 18))
     postures = postures_from_points(seen.to_torso(samples), start, continuous=True)
-    density = method.forecast(seen, np.random.default_rng(1), 2000).density
+    density = forecast_in_scene(method, None, seen, np.random.default_rng(1), 2000, None).density
     for quantile in (0.4, 0.6):
         pose = np.quantile(postures, quantile, axis=0)
         expected, error = counted(postures, pose)
@@ -100,10 +101,13 @@ def test_the_exact_density_is_that_of_the_samples(method: PostureSeries, seen: O
 @pytest.mark.parametrize("constrained", [False, True])
 def test_nll_of_few_draws_agrees_with_that_of_many(method: PostureSeries, seen: Observation, constrained: bool) -> None:
     method = replace(method, limits=binding(seen) if constrained else None)
-    truth = method.forecast(seen, np.random.default_rng(2), 1).samples[0]
-    many = method.forecast(seen, np.random.default_rng(3), 20_000).density.log_prob(truth)
+    truth = forecast_in_scene(method, None, seen, np.random.default_rng(2), 1, None).samples[0]
+    many = forecast_in_scene(method, None, seen, np.random.default_rng(3), 20_000, None).density.log_prob(truth)
     few = np.array(
-        [method.forecast(seen, np.random.default_rng(10 + k), 500).density.log_prob(truth) for k in range(30)]
+        [
+            forecast_in_scene(method, None, seen, np.random.default_rng(10 + k), 500, None).density.log_prob(truth)
+            for k in range(30)
+        ]
     )
     error = few.std(axis=0, ddof=1) / math.sqrt(len(few))
     # The first step's law has no draws in it; its difference is round-off.
@@ -119,10 +123,10 @@ def test_with_a_scene_the_density_is_that_of_what_is_free_at_each_step(
     loose = JointLimits(everything, everything, everything, everything)
     ball = Scene((Sphere(seen.positions[-1, 2] + np.array([0.05, 0.0, 0.03]), 0.05),))
     method = replace(method, limits=loose, noise=0.0)
-    free = replace(method, limits=None).forecast(seen, np.random.default_rng(4), COUNT).samples
+    free = forecast_in_scene(replace(method, limits=None), None, seen, np.random.default_rng(4), COUNT, None).samples
     allowed = ball.free(free, seen.times(STEPS))
-    held = method.forecast(seen, np.random.default_rng(5), 4000, ball)
-    unheld = replace(method, limits=None).forecast(seen, np.random.default_rng(5), 4000)
+    held = forecast_in_scene(method, None, seen, np.random.default_rng(5), 4000, ball)
+    unheld = forecast_in_scene(replace(method, limits=None), None, seen, np.random.default_rng(5), 4000, None)
     pose = free[np.flatnonzero(allowed.all(axis=1))[0]]
     ratio = held.density.log_prob(pose) - unheld.density.log_prob(pose)
     share = allowed.mean(axis=0)

@@ -12,9 +12,9 @@ if find_spec("benchmarks") is None:
     pytest.skip("no benchmarks: they come with the repository", allow_module_level=True)
 
 from benchmarks import context
+from kinecast.prediction.kinecast.method import Horizon
 
 from kinecast.datasets.synthetic import Fetch, SyntheticOptions, fetching, table_scene
-from kinecast.prediction.kinecast.method import Horizon
 from kinecast.prediction.methods import shipped_methods
 
 SCENE = table_scene(SyntheticOptions())

@@ -77,21 +77,34 @@ class PoseDensity:
         known = np.isfinite(positions).all(axis=(1, 2))
         poses = np.where(known[:, None, None], self.observation.to_torso(positions), self.centre)
         log_weights, blocks = self.blocks.log_blocks(poses)
-        inlier = np.log1p(-FAULT_PROBABILITY) + blocks
-        fault = np.log(FAULT_PROBABILITY) + self._log_fault(poses)
         allowed = 0.0 if self.constraint is None else self.constraint.log_factor(poses)
-        a, b, c = np.moveaxis(inlier, -1, 0)
-        u, v, w = np.moveaxis(fault, -1, 0)
-        # Π(f + h) with Π f weighted by what is allowed: no fault; the first in the left block, …
-        ways = [a + b + c + allowed, u + np.logaddexp(b, v) + np.logaddexp(c, w), a + v + np.logaddexp(c, w), a + b + w]
-        log_g = np.logaddexp.reduce(np.logaddexp.reduce(ways, axis=0) + log_weights[:, None], axis=0)
-        return np.where(known, log_g, np.nan)
+        log_g = log_weights[:, None] + with_faults(blocks, log_fault(poses, self.centre), allowed)
+        return np.where(known, np.logaddexp.reduce(log_g, axis=0), np.nan)
 
-    def _log_fault(self, poses: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, "T 3"]:
-        """(T, 3) log h_b."""
-        square = ((poses - self.centre) ** 2).sum(axis=-1) / FAULT_SPREAD**2
-        joint = -0.5 * square - 1.5 * np.log(2 * np.pi * FAULT_SPREAD**2)
-        return joint[:, JOINT_ORDER].reshape(-1, 3, 2).sum(axis=-1)
+
+def with_faults(
+    inlier: Float[np.ndarray, "C T 3"], fault: Float[np.ndarray, "T 3"], allowed: Float[np.ndarray, " T"] | float = 0.0
+) -> Float[np.ndarray, "C T"]:
+    """(C, T) log g: every way in which blocks may be faulty, the faultless way weighted by what is allowed.
+
+    Args:
+        inlier: (C, T, 3) log f_bc.
+        fault: (T, 3) log h_b.
+        allowed: (T,) log [P(allowed | x) / P(allowed)].
+    """
+    a, b, c = np.moveaxis(np.log1p(-FAULT_PROBABILITY) + inlier, -1, 0)
+    u, v, w = np.moveaxis(np.log(FAULT_PROBABILITY) + fault, -1, 0)
+    # Π(f + h), parted by where the first fault is: in no block, in the first, in the second, in the last.
+    either = np.logaddexp(c, w)
+    ways = [a + b + c + allowed, u + np.logaddexp(b, v) + either, a + v + either, a + b + w]
+    return np.asarray(np.logaddexp.reduce(ways, axis=0))
+
+
+def log_fault(poses: Float[np.ndarray, "T 6 3"], centre: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, "T 3"]:
+    """(T, 3) log h_b: each block spread broadly about its prediction."""
+    square = ((poses - centre) ** 2).sum(axis=-1) / FAULT_SPREAD**2
+    joint = -0.5 * square - 1.5 * np.log(2 * np.pi * FAULT_SPREAD**2)
+    return joint[:, JOINT_ORDER].reshape(-1, 3, 2).sum(axis=-1)
 
 
 @dataclass(frozen=True)

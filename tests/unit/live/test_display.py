@@ -26,7 +26,7 @@ class Counted:
     def __init__(self) -> None:
         self.counters = SinkCounters(self.address, "written")
 
-    def publish(self, publication: Publication) -> None:  # noqa: ARG002
+    def publish(self, publication: Publication) -> None:
         self.counters.sent(0.0121)
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numba
 import numpy as np
@@ -12,7 +13,7 @@ from kinecast.body.posture import points_from_postures
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.pipeline import training_windows
-from kinecast.prediction.forecast import Method
+from kinecast.prediction.method import Method
 from kinecast.prediction.methods import METHODS, TrainingOptions, train
 from kinecast.prediction.observation import Observation, TrainingWindows
 
@@ -45,7 +46,7 @@ def options() -> TrainingOptions:
 
 
 @pytest.fixture(scope="session")
-def trained(windows: TrainingWindows) -> dict[str, Method]:
+def trained(windows: TrainingWindows) -> dict[str, Method[Any]]:
     """Every method but the horizon model and the neural forecaster, which have tests of their own."""
     return train([name for name in METHODS if name not in OWN], windows, OPTIONS)
 

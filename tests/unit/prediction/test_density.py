@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,18 +27,19 @@ from kinecast.body.posture import (
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 from kinecast.prediction import density as density_module
-from kinecast.prediction.allowance import Allowance
+from kinecast.prediction.constraint import ConstraintFactor
 from kinecast.prediction.density import (
     BLOCKS,
     FAULT_PROBABILITY,
     FAULT_SPREAD,
     JOINT_ORDER,
-    PositionGaussianDensity,
+    GaussianMixture,
+    PoseDensity,
     block_log_det,
-    combine,
-    fault_log_prob,
+    log_fault,
+    with_faults,
 )
-from kinecast.prediction.forecast import Forecast, Method
+from kinecast.prediction.method import Forecast, Method, forecast_in_scene
 from kinecast.prediction.observation import Observation
 from kinecast.types import Density
 
@@ -119,11 +121,11 @@ def narrow(observation: Observation, slack: float) -> JointLimits:
     ("name", "angles"), [("kalman", False), ("ridge_angles", True), ("gp_xyz", False), ("gp_angles", True)]
 )
 def test_free_densities_integrate_to_one(
-    trained: dict[str, Method], posed: Observation, name: str, angles: bool
+    trained: dict[str, Method[Any]], posed: Observation, name: str, angles: bool
 ) -> None:
     method = trained[name]
-    proposal = around(method.forecast(posed, np.random.default_rng(0), 4000), posed, angles, 1.12)
-    density = method.forecast(posed, np.random.default_rng(1), 200).density
+    proposal = around(forecast_in_scene(method, None, posed, np.random.default_rng(0), 4000, None), posed, angles, 1.12)
+    density = forecast_in_scene(method, None, posed, np.random.default_rng(1), 200, None).density
     assert_integrates_to_one(density, proposal, 0.08)
 
 
@@ -132,15 +134,15 @@ def test_free_densities_integrate_to_one(
     ("name", "with_scene", "noise"), [("kalman", False, 0.003), ("kalman", True, 0.0), ("ridge", True, 0.003)]
 )
 def test_constrained_gaussian_densities_integrate_to_one(
-    trained: dict[str, Method], posed: Observation, name: str, with_scene: bool, noise: float
+    trained: dict[str, Method[Any]], posed: Observation, name: str, with_scene: bool, noise: float
 ) -> None:
     free = trained[f"{name}_angles"]
     held = replace(trained[f"{name}_constrained"], limits=narrow(posed, 0.1), noise=noise)
-    drawn = free.forecast(posed, np.random.default_rng(2), 300)
+    drawn = forecast_in_scene(free, None, posed, np.random.default_rng(2), 300, None)
     proposal = Proposal(drawn.samples, np.array([drawn.density.log_prob(pose) for pose in drawn.samples]))
     scene = obstacles(posed) if with_scene else None
-    density = held.forecast(posed, np.random.default_rng(3), 4000, scene).density
-    allowed = np.exp(density.density.allowance.log_total)
+    density = forecast_in_scene(held, None, posed, np.random.default_rng(3), 4000, scene).density
+    allowed = np.exp(density.constraint.log_total)
     assert (allowed < 0.8).all()
     # The share of 4,000 draws that is allowed is itself an estimate; its error adds to that of the integral.
     assert_integrates_to_one(density, proposal, 0.25)
@@ -148,53 +150,55 @@ def test_constrained_gaussian_densities_integrate_to_one(
 
 @pytest.mark.usefixtures("faultless")
 @pytest.mark.parametrize("noise", [1e-4, 0.002])
-def test_constrained_series_integrate_to_one(trained: dict[str, Method], posed: Observation, noise: float) -> None:
+def test_constrained_series_integrate_to_one(trained: dict[str, Method[Any]], posed: Observation, noise: float) -> None:
     method = replace(trained["gp_constrained"], limits=narrow(posed, 0.1), noise=noise)
-    proposal = around(method.forecast(posed, np.random.default_rng(4), 4000), posed, True, 1.15)
-    density = method.forecast(posed, np.random.default_rng(5), 120).density
+    proposal = around(forecast_in_scene(method, None, posed, np.random.default_rng(4), 4000, None), posed, True, 1.15)
+    density = forecast_in_scene(method, None, posed, np.random.default_rng(5), 120, None).density
     assert_integrates_to_one(density, proposal, 0.12)
 
 
 @pytest.mark.usefixtures("faultless")
-def test_series_within_a_scene_integrate_to_one(trained: dict[str, Method], posed: Observation) -> None:
+def test_series_within_a_scene_integrate_to_one(trained: dict[str, Method[Any]], posed: Observation) -> None:
     method = trained["gp_constrained"]
-    free = method.forecast(posed, np.random.default_rng(6), 4000)
+    free = forecast_in_scene(method, None, posed, np.random.default_rng(6), 4000, None)
     proposal = around(free, posed, True, 1.12)
-    forecast = method.forecast(posed, np.random.default_rng(7), 300, obstacles(posed))
+    forecast = forecast_in_scene(method, None, posed, np.random.default_rng(7), 300, obstacles(posed))
     assert forecast.accepted[-1] < 0.9
     assert_integrates_to_one(forecast.density, proposal, 0.15)
 
 
 @pytest.mark.usefixtures("faultless")
 @pytest.mark.parametrize("name", ["kalman_constrained", "ridge_constrained", "gp_constrained"])
-def test_inside_an_obstacle_the_density_is_zero(trained: dict[str, Method], posed: Observation, name: str) -> None:
+def test_inside_an_obstacle_the_density_is_zero(trained: dict[str, Method[Any]], posed: Observation, name: str) -> None:
     scene = obstacles(posed)
     pose = np.repeat(posed.positions[-1:], 3, axis=0)
     pose[:, 2] += np.array([0.05, 0.0, 0.02])  # the left wrist in the middle of the ball
     for noise, most in ((0.0, -600.0), (0.002, -200.0)):
         method = replace(trained[name], noise=noise)
-        free, held = (method.forecast(posed, np.random.default_rng(8), 300, s).density for s in (None, scene))
+        free, held = (
+            forecast_in_scene(method, None, posed, np.random.default_rng(8), 300, s).density for s in (None, scene)
+        )
         assert (held.log_prob(pose) - free.log_prob(pose) < most).all()
 
 
 @pytest.mark.parametrize("name", ["kalman_constrained", "gp_constrained"])
 def test_inside_an_obstacle_only_the_tracker_can_be_at_fault(
-    trained: dict[str, Method], posed: Observation, name: str
+    trained: dict[str, Method[Any]], posed: Observation, name: str
 ) -> None:
     pose = np.repeat(posed.positions[-1:], 3, axis=0)
     pose[:, 2] += np.array([0.05, 0.0, 0.02])
-    forecast = trained[name].forecast(posed, np.random.default_rng(9), 300, obstacles(posed))
+    forecast = forecast_in_scene(trained[name], None, posed, np.random.default_rng(9), 300, obstacles(posed))
     inside = forecast.density.log_prob(pose)
     assert np.isfinite(inside).all()
     # At least one of three blocks is a fault: its price is ε and the width of an arm's length.
     assert (inside < forecast.density.log_prob(forecast.mean) - 10).all()
 
 
-def test_density_outside_limits_is_a_fault_too(trained: dict[str, Method], posed: Observation) -> None:
+def test_density_outside_limits_is_a_fault_too(trained: dict[str, Method[Any]], posed: Observation) -> None:
     postures = postures_from_points(posed.points, continuous=True)[-1:]
     for name in ("ridge_constrained", "gp_constrained"):
         method = replace(trained[name], limits=narrow(posed, 0.1), noise=0.001)
-        forecast = method.forecast(posed, np.random.default_rng(10), 300)
+        forecast = forecast_in_scene(method, None, posed, np.random.default_rng(10), 300, None)
         prices = []
         for excess in (-0.05, 0.15):
             bent = np.repeat(postures, 3, axis=0)
@@ -204,11 +208,11 @@ def test_density_outside_limits_is_a_fault_too(trained: dict[str, Method], posed
 
 
 def test_the_gaussian_over_positions_is_the_marginal_of_the_joint_one(
-    trained: dict[str, Method], observation: Observation, monkeypatch: pytest.MonkeyPatch
+    trained: dict[str, Method[Any]], observation: Observation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(density_module, "FAULT_PROBABILITY", 1e-300)
     method = trained["damped_velocity"]
-    forecast = method.forecast(observation, np.random.default_rng(11), 10)
+    forecast = forecast_in_scene(method, None, observation, np.random.default_rng(11), 10, None)
     covariance = method.cholesky @ method.cholesky.T
     for pose in forecast.samples:
         points, mean = observation.to_torso(pose), observation.to_torso(forecast.mean)
@@ -227,34 +231,34 @@ def test_faults_are_broad_normals_of_each_block() -> None:
     for column, block in enumerate(BLOCKS):
         peer = multivariate_normal(np.zeros(6), FAULT_SPREAD**2 * np.eye(6))
         expected = peer.logpdf((points - mean)[:, list(block)].reshape(4, 6))
-        np.testing.assert_allclose(fault_log_prob(points, mean)[:, column], expected)
+        np.testing.assert_allclose(log_fault(points, mean)[:, column], expected)
     assert sorted(JOINT_ORDER) == list(range(6))
 
 
-def test_combine_is_the_product_over_blocks_of_two_ways_each() -> None:
+def test_with_faults_is_the_product_over_blocks_of_two_ways_each() -> None:
     rng = np.random.default_rng(13)
     inlier, fault = rng.normal(0.0, 3.0, (2, 50, 3))
     f, h = np.exp(inlier), np.exp(fault)
     e = FAULT_PROBABILITY
-    np.testing.assert_allclose(combine(inlier, fault), np.log(((1 - e) * f + e * h).prod(axis=1)))
+    np.testing.assert_allclose(with_faults(inlier[None], fault)[0], np.log(((1 - e) * f + e * h).prod(axis=1)))
     allowed = rng.normal(0.0, 2.0, 50)
     expected = sum(
         np.prod([(e * h if bad else (1 - e) * f)[:, b] for b, bad in enumerate(way)], axis=0)
         * (1.0 if any(way) else np.exp(allowed))
         for way in product((False, True), repeat=3)
     )
-    np.testing.assert_allclose(combine(inlier, fault, allowed), np.log(expected))
+    np.testing.assert_allclose(with_faults(inlier[None], fault, allowed)[0], np.log(expected))
 
 
-def test_combine_takes_impossible_poses_as_faults() -> None:
+def test_with_faults_takes_impossible_poses_as_faults() -> None:
     inlier, fault = np.full((1, 3), -np.inf), np.zeros((1, 3))
-    assert combine(inlier, fault)[0] == pytest.approx(3 * math.log(FAULT_PROBABILITY))
-    assert combine(np.zeros((1, 3)), fault, np.array([-np.inf]))[0] < 0.0
+    assert with_faults(inlier[None], fault)[0, 0] == pytest.approx(3 * math.log(FAULT_PROBABILITY))
+    assert with_faults(np.zeros((1, 1, 3)), fault, np.array([-np.inf]))[0, 0] < 0.0
 
 
-def test_a_jump_of_one_joint_costs_a_bounded_price(trained: dict[str, Method], posed: Observation) -> None:
+def test_a_jump_of_one_joint_costs_a_bounded_price(trained: dict[str, Method[Any]], posed: Observation) -> None:
     for name in ("kalman", "ridge_angles", "gp_xyz", "gp_angles", "gp_constrained"):
-        forecast = trained[name].forecast(posed, np.random.default_rng(14), 200)
+        forecast = forecast_in_scene(trained[name], None, posed, np.random.default_rng(14), 200, None)
         usual = forecast.density.log_prob(forecast.mean)
         for joint in range(6):
             jumped = forecast.mean.copy()
@@ -263,7 +267,7 @@ def test_a_jump_of_one_joint_costs_a_bounded_price(trained: dict[str, Method], p
             assert (usual - forecast.density.log_prob(jumped) < 100).all(), (name, joint)
 
 
-def test_block_jacobians_add_up_to_the_whole(trained: dict[str, Method]) -> None:
+def test_block_jacobians_add_up_to_the_whole(trained: dict[str, Method[Any]]) -> None:
     rng = np.random.default_rng(15)
     postures = rng.uniform(0.2, 1.2, (20, 18))
     np.testing.assert_allclose(block_log_det(postures).sum(axis=1), log_det_jacobian(postures))
@@ -274,9 +278,11 @@ def test_block_jacobians_add_up_to_the_whole(trained: dict[str, Method]) -> None
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_nan_where_a_joint_is_nan_and_only_there(trained: dict[str, Method], posed: Observation, joint: int) -> None:
+def test_nan_where_a_joint_is_nan_and_only_there(
+    trained: dict[str, Method[Any]], posed: Observation, joint: int
+) -> None:
     for name, method in trained.items():
-        forecast = method.forecast(posed, np.random.default_rng(16), 20)
+        forecast = forecast_in_scene(method, None, posed, np.random.default_rng(16), 20, None)
         pose = forecast.mean.copy()
         whole = forecast.density.log_prob(pose)
         pose[1, joint, 2] = np.nan
@@ -286,12 +292,12 @@ def test_nan_where_a_joint_is_nan_and_only_there(trained: dict[str, Method], pos
         assert np.isnan(forecast.density.log_prob(np.full((3, 6, 3), np.nan))).all()
 
 
-def test_densities_take_a_straight_elbow(trained: dict[str, Method], posed: Observation) -> None:
+def test_densities_take_a_straight_elbow(trained: dict[str, Method[Any]], posed: Observation) -> None:
     postures = np.repeat(postures_from_points(posed.points, continuous=True)[-1:], 3, axis=0)
     postures[:, [9, 15]] = 0.0
     pose = posed.to_world(points_from_postures(postures))
     for name, method in trained.items():
-        log_prob = method.forecast(posed, np.random.default_rng(17), 50).density.log_prob(pose)
+        log_prob = forecast_in_scene(method, None, posed, np.random.default_rng(17), 50, None).density.log_prob(pose)
         assert np.isfinite(log_prob).all(), name
 
 
@@ -300,10 +306,10 @@ def test_a_gaussian_of_positions_takes_constraints_as_well(posed: Observation) -
     factor = np.repeat(0.03 * np.eye(18)[None], 2, axis=0)
     rng = np.random.default_rng(18)
     draws = mean + 0.03 * rng.standard_normal((3000, 2, 6, 3))
-    initial = postures_from_points(posed.points, continuous=True)[-1]
-    allowance = Allowance(lambda: draws, posed, initial, None, obstacles(posed), 0.002)
-    free, held = PositionGaussianDensity(mean, factor), PositionGaussianDensity(mean, factor, allowance)
-    fresh = mean + 0.03 * rng.standard_normal((500, 2, 6, 3))
+    blocks = GaussianMixture(mean[None, :, JOINT_ORDER].reshape(1, 2, 18), factor[None])
+    constraint = ConstraintFactor(lambda: draws, posed, None, 0.002, obstacles(posed))
+    free, held = PoseDensity(posed, mean, blocks), PoseDensity(posed, mean, blocks, constraint)
+    fresh = posed.to_world(mean + 0.03 * rng.standard_normal((500, 2, 6, 3)))
     ratio = np.exp([held.log_prob(pose) - free.log_prob(pose) for pose in fresh])
     # The faultless part dominates here, so the ratio is that of P(allowed | x) to its mean.
     error = ratio.std(axis=0) * math.sqrt(1 / 500 + 1 / 3000)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from kinecast.prediction.forecast import Method
 
 from kinecast.body.limits import AngleLimit, JointLimits, posture_bounds, violations
 from kinecast.body.posture import postures_from_points
@@ -24,6 +24,7 @@ from kinecast.prediction.gaussian import (
     with_noise,
 )
 from kinecast.prediction.linear import zero_velocity
+from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 SAMPLES = 400
@@ -69,11 +70,11 @@ def test_noise_of_the_last_frame_is_one_error_for_all_steps() -> None:
 
 
 def test_samples_of_positions_have_the_stated_mean_and_covariance(
-    trained: dict[str, Method], observation: Observation
+    trained: dict[str, Method[Any]], observation: Observation
 ) -> None:
     method = trained["damped_velocity"]
     assert isinstance(method, PositionGaussian)
-    forecast = method.forecast(observation, np.random.default_rng(2), 4000)
+    forecast = forecast_in_scene(method, None, observation, np.random.default_rng(2), 4000, None)
     errors = (observation.to_torso(forecast.samples) - observation.to_torso(forecast.mean)).reshape(4000, -1)
     covariance = method.cholesky @ method.cholesky.T
     deviation = np.sqrt(np.diag(covariance))
@@ -82,18 +83,21 @@ def test_samples_of_positions_have_the_stated_mean_and_covariance(
     assert (np.abs(errors.T @ errors / 4000 - covariance) < tolerance).all()
 
 
-def test_zero_velocity_means_the_last_frame(trained: dict[str, Method], observation: Observation) -> None:
-    forecast = trained["zero_velocity"].forecast(observation, np.random.default_rng(3), 10)
+def test_zero_velocity_means_the_last_frame(trained: dict[str, Method[Any]], observation: Observation) -> None:
+    forecast = forecast_in_scene(trained["zero_velocity"], None, observation, np.random.default_rng(3), 10, None)
     np.testing.assert_allclose(forecast.mean, np.repeat(observation.positions[-1:], 3, axis=0), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["damped_velocity", "ridge_angles", "ridge_constrained", "gp_xyz", "gp_angles"])
 def test_stated_noise_widens_the_spread_of_that_joint(
-    trained: dict[str, Method], observation: Observation, name: str
+    trained: dict[str, Method[Any]], observation: Observation, name: str
 ) -> None:
     noisy = replace(observation, noise=np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]))
     spreads = [
-        trained[name].forecast(seen, np.random.default_rng(4), SAMPLES).samples[:, 0].std(axis=0).mean(axis=-1)
+        forecast_in_scene(trained[name], None, seen, np.random.default_rng(4), SAMPLES, None)
+        .samples[:, 0]
+        .std(axis=0)
+        .mean(axis=-1)
         for seen in (observation, noisy)
     ]
     grown = spreads[1] - spreads[0]
@@ -101,23 +105,27 @@ def test_stated_noise_widens_the_spread_of_that_joint(
     assert np.abs(grown[3:]).max() < 0.005  # not the right arm
 
 
-def test_equal_generators_give_equal_forecasts(trained: dict[str, Method], observation: Observation) -> None:
+def test_equal_generators_give_equal_forecasts(trained: dict[str, Method[Any]], observation: Observation) -> None:
     scene = Scene((Sphere(observation.positions[-1, 2] + np.array([0.08, 0.0, 0.0]), 0.07),))
     for name, method in trained.items():
-        first, second = (method.forecast(observation, np.random.default_rng(5), 30, scene) for _ in range(2))
+        first, second = (
+            forecast_in_scene(method, None, observation, np.random.default_rng(5), 30, scene) for _ in range(2)
+        )
         np.testing.assert_array_equal(first.samples, second.samples, err_msg=name)
-        other = method.forecast(observation, np.random.default_rng(6), 30, scene)
+        other = forecast_in_scene(method, None, observation, np.random.default_rng(6), 30, scene)
         assert not np.array_equal(first.samples, other.samples), name
 
 
 @pytest.mark.parametrize("base", ["kalman", "ridge"])
 def test_limits_that_never_bind_leave_the_gaussian_as_it_is(
-    trained: dict[str, Method], posed: Observation, base: str
+    trained: dict[str, Method[Any]], posed: Observation, base: str
 ) -> None:
     everything = AngleLimit(-2 * math.pi, 2 * math.pi, math.inf)
     loose = JointLimits(everything, everything, everything, everything)
-    free = trained[f"{base}_angles"].forecast(posed, np.random.default_rng(7), 200)
-    held = replace(trained[f"{base}_constrained"], limits=loose).forecast(posed, np.random.default_rng(7), 200)
+    free = forecast_in_scene(trained[f"{base}_angles"], None, posed, np.random.default_rng(7), 200, None)
+    held = forecast_in_scene(
+        replace(trained[f"{base}_constrained"], limits=loose), None, posed, np.random.default_rng(7), 200, None
+    )
     np.testing.assert_array_equal(held.samples, free.samples)
     for pose in free.samples[:20]:
         np.testing.assert_allclose(held.density.log_prob(pose), free.density.log_prob(pose), atol=1e-9)
@@ -134,7 +142,7 @@ def tight(observation: Observation, slack: float, speed: float = 2.0) -> JointLi
 @pytest.mark.parametrize("name", ["kalman_constrained", "ridge_constrained", "gp_constrained"])
 @pytest.mark.parametrize("slack", [-0.05, 0.0, 0.02])
 def test_constrained_samples_violate_nothing_counted_from_their_positions(
-    trained: dict[str, Method], posed: Observation, name: str, slack: float
+    trained: dict[str, Method[Any]], posed: Observation, name: str, slack: float
 ) -> None:
     limits = tight(posed, slack)
     wrist = posed.positions[-1, 2]
@@ -142,10 +150,10 @@ def test_constrained_samples_violate_nothing_counted_from_their_positions(
     table = Box(wrist - np.array([0.0, 0.0, 0.15]), np.array([0.4, 0.4, 0.2]))
     scene = Scene((ball, table))
     method = replace(trained[name], limits=limits)
-    forecast = method.forecast(posed, np.random.default_rng(8), SAMPLES, scene)
-    assert 0 < forecast.distinct < SAMPLES
+    forecast = forecast_in_scene(method, None, posed, np.random.default_rng(8), SAMPLES, scene)
+    assert 0 < forecast.effective_sample_size < SAMPLES
     assert (np.diff(forecast.accepted) <= 0).all()
-    assert forecast.accepted[-1] == pytest.approx(forecast.distinct / SAMPLES)
+    assert forecast.accepted[-1] == pytest.approx(forecast.effective_sample_size / SAMPLES)
     initial = postures_from_points(posed.points, continuous=True)[-1]
     postures = postures_from_points(posed.to_torso(forecast.samples), initial, continuous=True, usual=False)
     position, speed = violations(postures, initial, posed.dt, limits)
@@ -154,26 +162,26 @@ def test_constrained_samples_violate_nothing_counted_from_their_positions(
     assert scene.free(forecast.samples, posed.times(method.steps)).all()
     np.testing.assert_allclose(forecast.mean, forecast.samples.mean(axis=0), atol=1e-12)
     # The same method without its constraints breaks them: they are what made the difference.
-    free = replace(method, limits=None).forecast(posed, np.random.default_rng(8), SAMPLES, scene)
+    free = forecast_in_scene(replace(method, limits=None), None, posed, np.random.default_rng(8), SAMPLES, scene)
     postures = postures_from_points(posed.to_torso(free.samples), initial, continuous=True, usual=False)
     assert violations(postures, initial, posed.dt, limits)[0].mean() > 0.1
     assert not scene.free(free.samples, posed.times(method.steps)).all()
 
 
-def test_a_blocked_scene_is_said_and_leaves_the_samples(trained: dict[str, Method], posed: Observation) -> None:
+def test_a_blocked_scene_is_said_and_leaves_the_samples(trained: dict[str, Method[Any]], posed: Observation) -> None:
     around = Scene((Sphere(posed.positions[-1].mean(axis=0), 2.0),))
     for name in ("kalman_constrained", "gp_constrained"):
-        forecast = trained[name].forecast(posed, np.random.default_rng(9), 50, around)
-        assert forecast.blocked
-        assert forecast.distinct == 0
+        forecast = forecast_in_scene(trained[name], None, posed, np.random.default_rng(9), 50, around)
+        assert forecast.effective_sample_size == 0
+        assert forecast.effective_sample_size == 0
         np.testing.assert_array_equal(forecast.accepted, 0.0)
         assert np.isfinite(forecast.samples).all()
         assert np.isfinite(forecast.density.log_prob(forecast.mean)).all()
 
 
-def test_one_sample_is_enough(trained: dict[str, Method], posed: Observation) -> None:
+def test_one_sample_is_enough(trained: dict[str, Method[Any]], posed: Observation) -> None:
     for method in trained.values():
-        forecast = method.forecast(posed, np.random.default_rng(10), 1, Scene())
+        forecast = forecast_in_scene(method, None, posed, np.random.default_rng(10), 1, Scene())
         assert forecast.samples.shape == (1, 3, 6, 3)
         assert not np.isnan(forecast.density.log_prob(forecast.mean)).any()
 

@@ -17,11 +17,10 @@ from kinecast.geometry.shapes import Box, HalfSpace, Sphere
 from kinecast.geometry.transforms import rotation_z
 from kinecast.pipeline import frames
 from kinecast.prediction import density as density_module
-from kinecast.prediction.forecast import Forecast, WorldDensity
+from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
 from kinecast.prediction.goals import HANDS, goal_probabilities
-from kinecast.prediction.kinecast.density import GoalMixtureDensity
-from kinecast.prediction.kinecast.method import Horizon
-from kinecast.prediction.kinecast.spread import SCALES
+from kinecast.prediction.kinecast.model import Kinecast
+from kinecast.prediction.method import Forecast, forecast_in_scene
 from kinecast.prediction.methods import shipped_methods
 from kinecast.prediction.observation import Observation
 from kinecast.types import Prediction
@@ -33,9 +32,9 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def method() -> Horizon:
+def method() -> Kinecast:
     shipped = shipped_methods()[1]["kinecast"]
-    assert isinstance(shipped, Horizon)
+    assert isinstance(shipped, Kinecast)
     return shipped
 
 
@@ -51,8 +50,8 @@ def seen() -> Observation:
     return Observation(arms[middle - 5 : middle + 1], UP, 1.0 / 30.0, middle / 30.0)
 
 
-def forecast(method: Horizon, seen: Observation, scene: Scene | None, samples: int = 400, seed: int = 0) -> Forecast:
-    return method.forecast(seen, np.random.default_rng(seed), samples, scene)
+def forecast(method: Kinecast, seen: Observation, scene: Scene | None, samples: int = 400, seed: int = 0) -> Forecast:
+    return forecast_in_scene(method, method.init_state(), seen, np.random.default_rng(seed), samples, scene)
 
 
 def watched(fetches: list[Fetch], scene: Scene, duration: float) -> list[Prediction]:
@@ -105,7 +104,7 @@ def test_online_each_hand_has_its_own_goal_and_the_right_one_wins() -> None:
     assert all(goals["left"]["none"] > 0.5 for goals in named)
 
 
-def test_without_goals_every_bit_is_as_before(method: Horizon, seen: Observation) -> None:
+def test_without_goals_every_bit_is_as_before(method: Kinecast, seen: Observation) -> None:
     plain, empty = forecast(method, seen, None), forecast(method, seen, Scene())
     assert plain.goals == empty.goals == {}
     for one, other in ((plain.samples, empty.samples), (plain.mean, empty.mean)):
@@ -113,7 +112,7 @@ def test_without_goals_every_bit_is_as_before(method: Horizon, seen: Observation
     assert np.array_equal(plain.density.log_prob(plain.mean), empty.density.log_prob(plain.mean))
 
 
-def test_a_goal_draws_mean_and_samples_to_it(method: Horizon, seen: Observation) -> None:
+def test_a_goal_draws_mean_and_samples_to_it(method: Kinecast, seen: Observation) -> None:
     without, found = forecast(method, seen, Scene()), forecast(method, seen, Scene((), GOALS))
     assert found.goals["right"]["part"] > 0.5
     away = [np.linalg.norm(each.mean[-1, 5] - RIGHT) for each in (without, found)]
@@ -124,58 +123,59 @@ def test_a_goal_draws_mean_and_samples_to_it(method: Horizon, seen: Observation)
     np.testing.assert_allclose(found.mean[:, 2], without.mean[:, 2], atol=0.02)
 
 
-def mixture(found: Forecast) -> GoalMixtureDensity:
-    assert isinstance(found.density, WorldDensity)
-    assert isinstance(found.density.density, GoalMixtureDensity)
-    return found.density.density
+def mixture(found: Forecast) -> GaussianMixture:
+    assert isinstance(found.density, PoseDensity)
+    assert isinstance(found.density.blocks, GaussianMixture)
+    return found.density.blocks
 
 
-def test_density_integrates_to_one(method: Horizon, seen: Observation, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_density_integrates_to_one(method: Kinecast, seen: Observation, monkeypatch: pytest.MonkeyPatch) -> None:
     """Importance sampling from the same places, all as likely, with 1.3 times the spread: no weight can run away."""
     monkeypatch.setattr(density_module, "FAULT_PROBABILITY", 1e-300)
-    law = mixture(forecast(replace(method, limits=None), seen, Scene((), GOALS)))
-    rng, count, (steps, places) = np.random.default_rng(0), 250, (len(law.mean), len(law.pursuit.weights))
+    found = forecast(replace(method, limits=None), seen, Scene((), GOALS))
+    law = mixture(found)
+    rng, count, (places, steps, _) = np.random.default_rng(0), 250, law.mean.shape
     assert places > 3
-    centers = (law.mean[..., None] + law.factor @ law.pursuit.shifts).reshape(steps, 18, places).transpose(2, 0, 1)
-    rows = [law.pursuit.factor(law.factor, int(kind)).reshape(steps, 18, -1) for kind in law.pursuit.kind]
-    lower = 1.3 * np.linalg.cholesky(np.array([row @ row.transpose(0, 2, 1) for row in rows]) + 5e-4**2 * np.eye(18))
+    covariance = law.factor @ law.factor.swapaxes(2, 3) + law.floor**2 * np.eye(18)
+    lower = 1.3 * np.linalg.cholesky(covariance)[law.kind]
     inverse = np.linalg.inv(lower)
     volume = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=-1) + 9 * np.log(2 * np.pi)
     ratio = np.empty((count, steps))
     for each in ratio:
-        which, scale = rng.integers(places), SCALES[rng.integers(len(SCALES))]
-        x = centers[which] + scale * np.einsum("tij,tj->ti", lower[which], rng.standard_normal((steps, 18)))
-        square = (np.einsum("ctij,ctj->cti", inverse, x - centers) ** 2).sum(axis=-1)
-        parts = [-0.5 * square / s**2 - 18 * np.log(s) - volume - np.log(places * len(SCALES)) for s in SCALES]
-        each[:] = np.exp(law.log_prob(x.reshape(steps, 6, 3)) - np.logaddexp.reduce(np.concatenate(parts)))
+        which, scale = rng.integers(places), law.scales[rng.integers(len(law.scales))]
+        x = law.mean[which] + scale * np.einsum("tij,tj->ti", lower[which], rng.standard_normal((steps, 18)))
+        square = (np.einsum("ctij,ctj->cti", inverse, x - law.mean) ** 2).sum(axis=-1)
+        parts = [-0.5 * square / s**2 - 18 * np.log(s) - volume - np.log(places * len(law.scales)) for s in law.scales]
+        pose = np.empty((steps, 6, 3))
+        pose[:, JOINT_ORDER] = x.reshape(steps, 6, 3)
+        each[:] = np.exp(found.density.log_prob(seen.to_world(pose)) - np.logaddexp.reduce(np.concatenate(parts)))
     error = ratio.mean(axis=1).std() / np.sqrt(count)
     assert error < 0.1
     assert ratio.mean() == pytest.approx(1.0, abs=4 * error)
 
 
-def test_samples_and_density_are_one_law(method: Horizon, seen: Observation) -> None:
+def test_samples_and_density_are_one_law(method: Kinecast, seen: Observation) -> None:
     """Mean and spread of free samples are those of the mixture that the density states."""
     found = forecast(replace(method, limits=None), seen, Scene((), GOALS), samples=8000)
     law = mixture(found)
-    own = seen.to_torso(found.samples)[:, -1].reshape(-1, 18)
-    weights, variance = law.pursuit.weights, float(law.weights @ SCALES**2)
-    centers = (law.mean[-1, ..., None] + law.factor[-1] @ law.pursuit.shifts).reshape(18, -1).T
-    mean = weights @ centers
-    covariance = np.einsum("c,ci,cj->ij", weights, centers - mean, centers - mean)
-    for weight, kind in zip(weights, law.pursuit.kind, strict=True):
-        rows = law.pursuit.factor(law.factor, int(kind))[-1].reshape(18, -1)
+    own = seen.to_torso(found.samples)[:, -1, JOINT_ORDER].reshape(-1, 18)
+    variance, centers = float(law.scale_weights @ law.scales**2), law.mean[:, -1]
+    mean = law.weights @ centers
+    covariance = np.einsum("c,ci,cj->ij", law.weights, centers - mean, centers - mean)
+    for weight, kind in zip(law.weights, law.kind, strict=True):
+        rows = law.factor[kind, -1]
         covariance += weight * variance * rows @ rows.T
     spread = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(own.mean(axis=0), mean, atol=6 * spread.max() / np.sqrt(len(own)))
-    np.testing.assert_allclose(seen.to_torso(found.mean)[-1].ravel(), mean, atol=1e-9)
+    np.testing.assert_allclose(seen.to_torso(found.mean)[-1, JOINT_ORDER].ravel(), mean, atol=1e-9)
     np.testing.assert_allclose(own.std(axis=0), spread, rtol=0.12)
 
 
-def test_goals_inside_obstacles_bring_no_sample_in(method: Horizon, seen: Observation) -> None:
+def test_goals_inside_obstacles_bring_no_sample_in(method: Kinecast, seen: Observation) -> None:
     table = HalfSpace(np.array([0.0, 0.0, 0.97]), UP)
     below = {"buried": Sphere(np.array([0.45, -0.2, 0.8]), 0.05)}
     found = forecast(method, seen, Scene((table,), below))
-    assert found.distinct > 0
+    assert found.effective_sample_size > 0
     assert Scene((table,)).free(found.samples, seen.times(15)).all()
     initial = postures_from_points(seen.points, continuous=True)[-1]
     postures = postures_from_points(seen.to_torso(found.samples), initial, continuous=True, usual=False)
@@ -183,7 +183,7 @@ def test_goals_inside_obstacles_bring_no_sample_in(method: Horizon, seen: Observ
     assert not np.any(violations(postures, initial, seen.dt, method.limits))
 
 
-def test_many_goals_and_forecasts_of_one_step(method: Horizon, seen: Observation) -> None:
+def test_many_goals_and_forecasts_of_one_step(method: Kinecast, seen: Observation) -> None:
     rng = np.random.default_rng(0)
     many = {f"goal {k}": Sphere(rng.normal([0.4, 0.0, 1.0], 0.2), 0.03) for k in range(40)}
     found = forecast(method, seen, Scene((), many), samples=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError, OptionError
-from kinecast.prediction.forecast import Method
 from kinecast.prediction.gaussian import PositionGaussian, PostureGaussian
+from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.methods import (
     METHODS,
     SHIPPED,
@@ -27,7 +28,7 @@ from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
 
 
-def test_every_name_makes_its_method(trained: dict[str, Method], windows: TrainingWindows) -> None:
+def test_every_name_makes_its_method(trained: dict[str, Method[Any]], windows: TrainingWindows) -> None:
     assert set(METHODS) - set(trained) <= {"kinecast", "mixer", "mixer_constrained"}
     for name, method in trained.items():
         if name == "gp_xyz":
@@ -44,7 +45,7 @@ def test_every_name_makes_its_method(trained: dict[str, Method], windows: Traini
 
 
 def test_constrained_methods_hold_limits_widened_to_the_training_postures(
-    trained: dict[str, Method], windows: TrainingWindows, options: TrainingOptions
+    trained: dict[str, Method[Any]], windows: TrainingWindows, options: TrainingOptions
 ) -> None:
     limits = limits_of(windows, options)
     for name in ("kalman_constrained", "ridge_constrained", "gp_constrained"):
@@ -59,26 +60,31 @@ def test_constrained_methods_hold_limits_widened_to_the_training_postures(
 
 
 @pytest.mark.parametrize("base", ["kalman", "ridge"])
-def test_free_and_constrained_share_one_fit(trained: dict[str, Method], base: str) -> None:
+def test_free_and_constrained_share_one_fit(trained: dict[str, Method[Any]], base: str) -> None:
     free, held = trained[f"{base}_angles"].to_arrays(), trained[f"{base}_constrained"].to_arrays()
     for name in free:
         np.testing.assert_array_equal(free[name], held[name])
 
 
-def test_training_is_repeatable(windows: TrainingWindows, trained: dict[str, Method]) -> None:
+def test_training_is_repeatable(windows: TrainingWindows, trained: dict[str, Method[Any]]) -> None:
     again = train(["damped_velocity", "ridge"], windows, TrainingOptions())
     for name, method in again.items():
         for array, values in method.to_arrays().items():
             np.testing.assert_allclose(values, trained[name].to_arrays()[array], atol=1e-12)
 
 
-def test_predictions_beat_guessing(trained: dict[str, Method], windows: TrainingWindows) -> None:
+def test_predictions_beat_guessing(trained: dict[str, Method[Any]], windows: TrainingWindows) -> None:
     rows = np.arange(5, len(windows), 12)
     errors = {}
     for name, method in trained.items():
         means = [
-            method.forecast(
-                Observation(windows.observed[row], windows.up[row], windows.dt), np.random.default_rng(0), 50
+            forecast_in_scene(
+                method,
+                method.init_state(),
+                Observation(windows.observed[row], windows.up[row], windows.dt),
+                np.random.default_rng(0),
+                50,
+                None,
             ).mean
             for row in rows
         ]
@@ -100,7 +106,7 @@ def test_unknown_names_are_refused_with_those_that_are(names: list[str]) -> None
 
 
 def test_a_card_says_what_the_model_is(
-    trained: dict[str, Method], windows: TrainingWindows, options: TrainingOptions
+    trained: dict[str, Method[Any]], windows: TrainingWindows, options: TrainingOptions
 ) -> None:
     card = card_of("ridge", trained["ridge"], windows, options, "reaching", ["a"], ["MIT"])
     assert (card.method, card.frames, card.steps) == ("ridge", 6, 3)
@@ -119,6 +125,6 @@ def test_the_shipped_models_can_be_read_and_predict() -> None:
     for method in methods.values():
         window = np.repeat(rest[None], method.frames, axis=0)
         seen = Observation(window, np.array([0.0, 0.0, 1.0]), method.dt)
-        forecast = method.forecast(seen, np.random.default_rng(0), 20)
+        forecast = forecast_in_scene(method, method.init_state(), seen, np.random.default_rng(0), 20, None)
         assert forecast.samples.shape == (20, method.steps, 6, 3)
         assert np.linalg.norm(forecast.mean - rest, axis=-1).max() < 0.2

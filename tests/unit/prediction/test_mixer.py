@@ -10,6 +10,7 @@ from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
 from kinecast.prediction.gaussian import PositionGaussian
 from kinecast.prediction.linear import mean_from_arrays
+from kinecast.prediction.method import forecast_in_scene
 from kinecast.prediction.mixer import Mixer, fit_mixer
 from kinecast.prediction.observation import Observation
 
@@ -54,9 +55,11 @@ def test_its_gaussian_is_held_inside_limits_and_the_mean_is_not_moved(mixer: Mix
     free = PositionGaussian(FRAMES, STEPS, posed.dt, mixer, 0.05 * np.eye(18 * STEPS), 0.002)
     limits = JointLimits()
     held = free.with_limits(limits)
-    forecast = held.forecast(posed, np.random.default_rng(0), 200)
+    forecast = forecast_in_scene(held, None, posed, np.random.default_rng(0), 200, None)
     initial = postures_from_points(posed.points, continuous=True)[-1]
     postures = postures_from_points(posed.to_torso(forecast.samples), initial, continuous=True, usual=False)
     assert not np.logical_or(*violations(postures, initial, posed.dt, limits)).any()
-    np.testing.assert_array_equal(forecast.mean, free.forecast(posed, np.random.default_rng(0), 200).mean)
+    np.testing.assert_array_equal(
+        forecast.mean, forecast_in_scene(free, None, posed, np.random.default_rng(0), 200, None).mean
+    )
     assert np.isfinite(forecast.density.log_prob(forecast.mean)).all()

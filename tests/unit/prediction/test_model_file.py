@@ -11,14 +11,15 @@ import tracemalloc
 import zipfile
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from kinecast.prediction.forecast import Method
 
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.errors import KinecastError, ModelError
 from kinecast.prediction import model_file
+from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.methods import TrainingOptions, card_of, read_method, save_method
 from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
 from kinecast.prediction.observation import Observation, TrainingWindows
@@ -28,7 +29,7 @@ LIMITS = JointLimits(elbow=AngleLimit(0.1, 2.0, math.inf), wrist_speed=1.5)
 
 
 @pytest.fixture
-def arrays(trained: dict[str, Method]) -> dict[str, np.ndarray]:
+def arrays(trained: dict[str, Method[Any]]) -> dict[str, np.ndarray]:
     """Those of the simplest method."""
     return trained["zero_velocity"].to_arrays()
 
@@ -56,7 +57,7 @@ def with_card(path: Path, arrays: dict[str, np.ndarray], **changes: object) -> P
 
 
 def test_every_method_forecasts_the_same_once_read_back(
-    trained: dict[str, Method],
+    trained: dict[str, Method[Any]],
     windows: TrainingWindows,
     options: TrainingOptions,
     observation: Observation,
@@ -69,7 +70,10 @@ def test_every_method_forecasts_the_same_once_read_back(
         save_method(path, card, method)
         read, again = read_method(path)
         assert read == card, name
-        before, after = (each.forecast(observation, np.random.default_rng(0), 25) for each in (method, again))
+        before, after = (
+            forecast_in_scene(each, each.init_state(), observation, np.random.default_rng(0), 25, None)
+            for each in (method, again)
+        )
         np.testing.assert_allclose(after.samples, before.samples, atol=1e-12, err_msg=name)
         np.testing.assert_allclose(after.density.log_prob(truth), before.density.log_prob(truth), atol=1e-9)
 
@@ -250,7 +254,7 @@ def test_cards_that_do_not_fit(
 
 
 def test_arrays_that_do_not_fit_their_method(
-    trained: dict[str, Method], windows: TrainingWindows, options: TrainingOptions, tmp_path: Path
+    trained: dict[str, Method[Any]], windows: TrainingWindows, options: TrainingOptions, tmp_path: Path
 ) -> None:
     path = tmp_path / "m.npz"
     for name in ("kalman", "ridge", "ridge_constrained", "gp_xyz", "gp_constrained"):
@@ -278,7 +282,7 @@ def test_arrays_that_do_not_fit_their_method(
     ("name", "array"), [("kalman", "cholesky"), ("gp_xyz", "noise"), ("gp_angles", "length_spread")]
 )
 def test_spreads_that_are_not_above_zero_are_refused(
-    trained: dict[str, Method],
+    trained: dict[str, Method[Any]],
     windows: TrainingWindows,
     options: TrainingOptions,
     tmp_path: Path,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
-from kinecast.prediction.forecast import Method
+from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.observation import Observation, TrainingWindows, reference_frame
 
 SOMEWHERE = Rotation.from_euler("zyx", [100.0, 20.0, -30.0], degrees=True).as_matrix(), np.array([3.0, -2.0, 0.7])
@@ -54,11 +55,11 @@ def test_times_follow_the_stamp(observation: Observation) -> None:
 # gp_xyz is the paper's: raw world positions, and so not equivariant, on purpose.
 @pytest.mark.parametrize("name", ["damped_velocity", "ridge", "kalman_constrained", "ridge_angles", "gp_constrained"])
 def test_a_forecast_moves_along_with_the_person(
-    trained: dict[str, Method], observation: Observation, windows: TrainingWindows, name: str
+    trained: dict[str, Method[Any]], observation: Observation, windows: TrainingWindows, name: str
 ) -> None:
     rotation, shift = SOMEWHERE
-    here = trained[name].forecast(observation, np.random.default_rng(3), 40)
-    there = trained[name].forecast(moved(observation), np.random.default_rng(3), 40)
+    here = forecast_in_scene(trained[name], None, observation, np.random.default_rng(3), 40, None)
+    there = forecast_in_scene(trained[name], None, moved(observation), np.random.default_rng(3), 40, None)
     np.testing.assert_allclose(there.samples, here.samples @ rotation.T + shift, atol=1e-7)
     np.testing.assert_allclose(there.mean, here.mean @ rotation.T + shift, atol=1e-7)
     truth = windows.future[60]

@@ -28,7 +28,7 @@ class Wrong:
     steps: int = 3
     dt: float = 1 / 30
     def forecast(self, observation, rng, samples, scene=None):
-        return self.how(good.forecast(observation, rng, samples))
+        return self.how(forecast_in_scene(good, None, observation, rng, samples, None))
     def to_arrays(self):
         return {}
 

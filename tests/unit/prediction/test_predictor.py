@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
-from kinecast.prediction.forecast import Forecast, Method
+from kinecast.prediction.method import Forecast, Method, forecast_in_scene
 from kinecast.prediction.observation import Observation
 from kinecast.predictor import HAND_SPEED, Predictor, PredictorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
@@ -36,12 +37,12 @@ def swinging(stamp: float, phase: float = 0.0) -> np.ndarray:
 
 
 @pytest.fixture
-def predictor(trained: dict[str, Method]) -> Predictor:
+def predictor(trained: dict[str, Method[Any]]) -> Predictor:
     return Predictor(trained["gp_constrained"], 0.002, options=OPTIONS)
 
 
 @pytest.fixture
-def still(trained: dict[str, Method]) -> Predictor:
+def still(trained: dict[str, Method[Any]]) -> Predictor:
     return Predictor(trained["zero_velocity"], 0.002, options=OPTIONS)
 
 
@@ -103,7 +104,7 @@ def run(predictor: Predictor, frames: Sequence[SkeletonFrame]) -> list[Predictio
     return [predictor.observe(each) for each in frames]
 
 
-def test_equal_frames_and_seeds_give_equal_predictions(trained: dict[str, Method]) -> None:
+def test_equal_frames_and_seeds_give_equal_predictions(trained: dict[str, Method[Any]]) -> None:
     frames = [frame(k * DT, swinging(k * DT)) for k in range(8)]
     first, second, other = (
         run(Predictor(trained["gp_constrained"], 0.002, options=replace(OPTIONS, seed=seed)), frames)
@@ -114,7 +115,7 @@ def test_equal_frames_and_seeds_give_equal_predictions(trained: dict[str, Method
     assert not np.array_equal(first[-1].samples, other[-1].samples)
 
 
-def test_two_persons_at_once_are_predicted_as_each_alone(trained: dict[str, Method]) -> None:
+def test_two_persons_at_once_are_predicted_as_each_alone(trained: dict[str, Method[Any]]) -> None:
     frames = {
         person: [frame(k * DT + shift, swinging(k * DT, phase) + phase, person) for k in range(9)]
         for person, phase, shift in (("ada", 0.0, 0.0), ("bob", 1.0, 0.01))
@@ -135,7 +136,7 @@ def test_fifty_persons_at_once_are_all_followed(still: Predictor) -> None:
     assert statuses == {Status.OK}
 
 
-def test_too_many_persons_are_followed_in_bounded_memory(trained: dict[str, Method]) -> None:
+def test_too_many_persons_are_followed_in_bounded_memory(trained: dict[str, Method[Any]]) -> None:
     few = Predictor(trained["zero_velocity"], options=replace(OPTIONS, samples=5, most_persons=3))
     for p in range(20):
         assert few.observe(frame(0.01 * p, REST, f"p{p}")).status is Status.WARMING_UP
@@ -149,7 +150,7 @@ def test_persons_long_gone_are_forgotten(still: Predictor) -> None:
     assert set(still._tracks) == {"here"}
 
 
-def test_useless_frames_of_many_persons_do_not_block_new_ones(trained: dict[str, Method]) -> None:
+def test_useless_frames_of_many_persons_do_not_block_new_ones(trained: dict[str, Method[Any]]) -> None:
     few = Predictor(trained["zero_velocity"], options=replace(OPTIONS, samples=5, most_persons=3))
     for p in range(5):
         bad = frame(0.0, REST, f"bad-{p}")
@@ -354,13 +355,13 @@ def test_noise_given_per_joint_widens_that_joint(still: Predictor) -> None:
     np.testing.assert_allclose(spreads[1][[3, 4, 5]], spreads[0][[3, 4, 5]], rtol=0.5)
 
 
-def test_a_blocked_scene_is_said(trained: dict[str, Method]) -> None:
+def test_a_blocked_scene_is_said(trained: dict[str, Method[Any]]) -> None:
     scene = Scene((Sphere(REST.mean(axis=0), 2.0),))
     blocked = Predictor(trained["gp_constrained"], 0.002, scene, OPTIONS)
     assert fill(blocked).status is Status.BLOCKED
 
 
-def test_a_scene_holds_online(trained: dict[str, Method]) -> None:
+def test_a_scene_holds_online(trained: dict[str, Method[Any]]) -> None:
     ball = Sphere(REST[2] + np.array([0.08, 0.0, 0.0]), 0.075)
     held = Predictor(trained["gp_constrained"], 0.002, Scene((ball,)), OPTIONS)
     free = Predictor(trained["gp_angles"], 0.002, Scene((ball,)), OPTIONS)
@@ -384,7 +385,7 @@ class Failing:
     ) -> Forecast:
         if self.broken and not self.nan:
             raise np.linalg.LinAlgError("not positive definite")
-        forecast = self.method.forecast(observation, rng, samples, scene)
+        forecast = forecast_in_scene(self.method, None, observation, rng, samples, scene)
         return replace(forecast, samples=forecast.samples * (np.nan if self.broken else 1.0))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -392,7 +393,7 @@ class Failing:
 
 
 @pytest.mark.parametrize("nan", [False, True])
-def test_a_method_that_fails_is_a_fault(trained: dict[str, Method], nan: bool) -> None:
+def test_a_method_that_fails_is_a_fault(trained: dict[str, Method[Any]], nan: bool) -> None:
     method = Failing(trained["zero_velocity"], nan)
     predictor = Predictor(method, options=OPTIONS)
     method.broken = True

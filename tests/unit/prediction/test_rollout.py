@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-from kinecast.prediction.forecast import Method
 from scipy import stats
 
 from kinecast.body.limits import AngleLimit, JointLimits, bounds, posture_bounds, violations
 from kinecast.body.posture import ANGLES, coordinates_from_postures, postures_from_points
+from kinecast.prediction.method import Method
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.rollout import UNIFORM, polar, roll_gaussian, roll_positions, roll_series
 
@@ -227,7 +228,7 @@ def series_draws(
     return rolled, normals, track[-1]
 
 
-def test_free_series_are_their_means_and_spreads(trained: dict[str, Method], observation: Observation) -> None:
+def test_free_series_are_their_means_and_spreads(trained: dict[str, Method[Any]], observation: Observation) -> None:
     (postures, means, spreads), normals, initial = series_draws(trained["gp_angles"], observation, None, 70)
     angles = [0, 1, 2, 3, 4, 5, *ANGLES]
     np.testing.assert_allclose(postures[..., angles], (means + spreads * normals)[..., angles], atol=1e-12)
@@ -239,7 +240,7 @@ def test_free_series_are_their_means_and_spreads(trained: dict[str, Method], obs
     np.testing.assert_allclose(postures[..., bones], (means + spreads * normals[:, :1])[..., bones], atol=1e-12)
 
 
-def test_the_number_of_draws_does_not_change_a_draw(trained: dict[str, Method], observation: Observation) -> None:
+def test_the_number_of_draws_does_not_change_a_draw(trained: dict[str, Method[Any]], observation: Observation) -> None:
     for count in (1, 3, 17):
         (some, _, _), normals, _ = series_draws(trained["gp_constrained"], observation, JointLimits(), count)
         assert some.shape == (count, trained["gp_angles"].steps, 18)
@@ -249,7 +250,7 @@ def test_the_number_of_draws_does_not_change_a_draw(trained: dict[str, Method], 
 
 @pytest.mark.parametrize("noise_sd", [0.0, 0.5])
 def test_every_series_draw_is_inside_the_bounds_of_equation_4(
-    trained: dict[str, Method], posed: Observation, noise_sd: float
+    trained: dict[str, Method[Any]], posed: Observation, noise_sd: float
 ) -> None:
     initial = np.array([0.1, 0.3, -0.5, 0.6])
     tight = JointLimits(*(AngleLimit(a - 0.4, a + 0.01, 1.0) for a in initial))
@@ -257,7 +258,9 @@ def test_every_series_draw_is_inside_the_bounds_of_equation_4(
     assert_inside(postures, start, tight)
 
 
-def test_series_of_positions_are_their_means_and_spreads(trained: dict[str, Method], observation: Observation) -> None:
+def test_series_of_positions_are_their_means_and_spreads(
+    trained: dict[str, Method[Any]], observation: Observation
+) -> None:
     method = trained["gp_xyz"]
     rng = np.random.default_rng(13)
     normals = rng.standard_normal((20, method.steps, 18))

@@ -35,7 +35,7 @@ class Wire(Transport):
         self.callbacks: dict[str, Callback] = {}
         self.closed = False
 
-    def subscribe(self, topic: str, type_: str, callback: Callback) -> None:  # noqa: ARG002
+    def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
         self.callbacks[topic] = callback
 
     def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from kinecast.prediction.allowance import LEAST, Allowance
 from scipy.special import ndtr
 
 from kinecast.body.limits import AngleLimit, JointLimits, bounds
 from kinecast.body.posture import ANGLES, points_from_postures, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import ConstantVelocity, HalfSpace, MovingObstacle, Sphere
+from kinecast.prediction.constraint import LEAST, ConstraintFactor
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 
@@ -29,19 +29,18 @@ def floor(observation: Observation, height: float) -> Scene:
     return Scene((HalfSpace(lowest - np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0])),))
 
 
-def allowance(
+def factor(
     observation: Observation,
     draws: np.ndarray,
     limits: JointLimits | None = None,
     scene: Scene | None = None,
     noise: float = 0.0,
-) -> Allowance:
-    initial = postures_from_points(observation.points, continuous=True)[-1]
-    return Allowance(lambda: draws, observation, initial, limits, scene, noise)
+) -> ConstraintFactor:
+    return ConstraintFactor(lambda: draws, observation, limits, noise, scene)
 
 
 def test_without_constraints_everything_is_allowed(posed: Observation) -> None:
-    free = allowance(posed, posed.points[None, :3])
+    free = factor(posed, posed.points[None, :3])
     np.testing.assert_array_equal(free.log_given(posed.points[:3]), 0.0)
     np.testing.assert_array_equal(free.log_total, 0.0)
 
@@ -49,10 +48,10 @@ def test_without_constraints_everything_is_allowed(posed: Observation) -> None:
 @pytest.mark.parametrize("height", [-0.02, -0.003, 0.0, 0.003, 0.02])
 def test_near_an_obstacle_the_noise_decides(posed: Observation, height: float) -> None:
     pose = posed.points[-1:]
-    smooth = allowance(posed, pose[None], None, floor(posed, height), 0.004).log_given(pose)
+    smooth = factor(posed, pose[None], None, floor(posed, height), 0.004).log_given(pose)
     assert math.exp(smooth[0]) == pytest.approx(ndtr(height / 0.004), abs=1e-9)
     if height:
-        sharp = allowance(posed, pose[None], None, floor(posed, height)).log_given(pose)
+        sharp = factor(posed, pose[None], None, floor(posed, height)).log_given(pose)
         assert sharp[0] == (0.0 if height > 0 else -np.inf)
 
 
@@ -67,7 +66,7 @@ def test_angles_beyond_their_bounds_are_allowed_as_far_as_the_noise_explains(
         posture[15] = 0.4
         pose = points_from_postures(posture)[None]
         spread = angle_noise(posture[6:12], np.full(3, noise))[3]
-        found = allowance(posed, pose[None], limits, None, noise).log_given(pose)
+        found = factor(posed, pose[None], limits, None, noise).log_given(pose)
         assert math.exp(found[0]) == pytest.approx(ndtr(-excess / spread), abs=1e-4)
 
 
@@ -76,7 +75,7 @@ def test_speed_bounds_widen_with_time(posed: Observation, initial: np.ndarray) -
     posture = initial.copy()
     posture[6] += 2.5 * posed.dt
     poses = np.repeat(points_from_postures(posture)[None], 4, axis=0)
-    found = allowance(posed, poses[None], limits, None, 1e-5).log_given(poses)
+    found = factor(posed, poses[None], limits, None, 1e-5).log_given(poses)
     assert (found[:2] < math.log(1e-9)).all()
     np.testing.assert_allclose(found[2:], 0.0, atol=1e-6)
 
@@ -87,7 +86,7 @@ def test_a_start_outside_its_range_widens_it_but_no_further(posed: Observation, 
         posture = initial.copy()
         posture[[6, 12]] += change
         poses = np.repeat(points_from_postures(posture)[None], 3, axis=0)
-        found = allowance(posed, poses[None], limits, None, 1e-5).log_given(poses)
+        found = factor(posed, poses[None], limits, None, 1e-5).log_given(poses)
         assert ((found > math.log(0.5)) == allowed).all()
 
 
@@ -98,7 +97,7 @@ def test_axial_rotation_does_not_matter_at_a_straight_elbow(posed: Observation, 
         posture = initial.copy()
         posture[8], posture[9] = 1.5, bend
         pose = points_from_postures(posture)[None]
-        found.append(allowance(posed, pose[None], limits, None, 1e-4).log_given(pose)[0])
+        found.append(factor(posed, pose[None], limits, None, 1e-4).log_given(pose)[0])
     assert found[0] > -1e-6
     assert found[1] == pytest.approx(math.log(LEAST))
 
@@ -108,7 +107,7 @@ def test_the_total_is_the_mean_over_draws(posed: Observation, noise: float) -> N
     rng = np.random.default_rng(0)
     draws = posed.points[-3:] + 0.02 * rng.standard_normal((500, 3, 6, 3))
     limits = JointLimits(elbow=AngleLimit(0.0, 0.75, 12.0))
-    everything = allowance(posed, draws, limits, floor(posed, 0.01), noise)
+    everything = factor(posed, draws, limits, floor(posed, 0.01), noise)
     each = np.array([everything.log_given(pose) for pose in draws])
     np.testing.assert_allclose(everything.log_given(draws), each, atol=1e-12)
     np.testing.assert_allclose(np.exp(everything.log_total), np.exp(each).mean(axis=0), rtol=1e-9)
@@ -128,13 +127,13 @@ def test_sharp_edges_agree_with_the_bounds_and_the_scene_themselves(posed: Obser
         lb, ub = bounds(lower[d], upper[d], speed[d], initial[d], (t + 1) * posed.dt)
         inside[:, t] &= (postures[:, t, d] >= lb) & (postures[:, t, d] <= ub)
     inside &= scene.free(posed.to_world(draws), posed.times(3))
-    found = allowance(posed, draws, limits, scene).log_given(draws)
+    found = factor(posed, draws, limits, scene).log_given(draws)
     np.testing.assert_array_equal(found > math.log(0.5), inside)
 
 
 def test_where_no_draw_is_allowed_the_share_is_half_a_draws(posed: Observation) -> None:
     draws = np.repeat(posed.points[None, -2:], 50, axis=0)
-    blocked = allowance(posed, draws, None, floor(posed, -3.0))
+    blocked = factor(posed, draws, None, floor(posed, -3.0))
     np.testing.assert_allclose(np.exp(blocked.log_total), 1 / 100)
     # So the density elsewhere cannot explode: what was never drawn is not promised either.
     assert np.exp(-blocked.log_total).max() <= 100.0 + 1e-9
@@ -145,5 +144,5 @@ def test_moving_obstacles_are_taken_where_they_are_at_each_step(posed: Observati
     # A ball that flies through the wrist, and is there at the second step.
     ball = MovingObstacle(Sphere(wrist, 0.05), ConstantVelocity(np.array([0.0, 0.0, 6.0]), posed.times(2)[1]))
     poses = np.repeat(posed.points[-1:], 3, axis=0)
-    found = allowance(posed, poses[None], None, Scene((ball,))).log_given(poses)
+    found = factor(posed, poses[None], None, Scene((ball,))).log_given(poses)
     np.testing.assert_array_equal(found, [0.0, -np.inf, 0.0])
