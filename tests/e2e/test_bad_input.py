@@ -446,8 +446,54 @@ threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT)).start()
 main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --samples 5000 --out out".split())
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "kinecast: interrupted\n")
+    said = done.stderr.replace("kinecast: compiling once for this machine ...\n", "")
+    assert (done.returncode, done.stdout, said) == (130, "", "kinecast: interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+EARLY = """
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "numba":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+main(["--version"])
+"""
+SWALLOWED = """
+class Bomb:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+def run(_):
+    Bomb()
+    time.sleep(100)
+import kinecast.cli.commands
+kinecast.cli.commands.run = run
+main([])
+"""
+CHANGED = """
+def run(_):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(100)
+    except KeyboardInterrupt:
+        raise ImportError("half of a module")
+import kinecast.cli.commands
+kinecast.cli.commands.run = run
+main([])
+"""
+
+
+@pytest.mark.parametrize("script", [EARLY, SWALLOWED, CHANGED], ids=["import", "destructor", "other exception"])
+def test_ctrl_c_is_one_line_wherever_it_comes(script: str, tmp_path: Path) -> None:
+    start = """
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from kinecast.cli import main
+assert "numpy" not in sys.modules
+"""
+    command = [sys.executable, "-c", start + script]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=90)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "kinecast: interrupted\n")
 
 
 @pytest.mark.parametrize("when", ["workers start", "workers work"])

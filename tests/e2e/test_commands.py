@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import re
+import threading
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.cli import progress
 from kinecast.datasets import table
 from kinecast.datasets.loading import load
 from kinecast.datasets.recording import differences
@@ -451,6 +453,19 @@ class TestPredict:
         assert rows.made is not None
         assert (np.diff(rows.made) >= 0).all()
         assert np.bincount(rows.person.codes).tolist() == [60 * 15 * 6, 60 * 15 * 6]
+
+
+class TestCompiling:
+    def test_is_said_where_it_takes_long_and_only_there(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        said, told = [], threading.Event()
+        monkeypatch.setattr(progress, "note", lambda text: (said.append(text), told.set()))
+        with progress.compiling():
+            pass
+        assert said == []
+        monkeypatch.setattr(progress, "PATIENCE", 0.0)
+        with progress.compiling():
+            assert told.wait(60.0)
+        assert said == ["compiling once for this machine ..."]
 
 
 class TestScenes:

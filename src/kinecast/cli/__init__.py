@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         """Where no exception can be raised, in a callback or a destructor, Ctrl-C is not lost: it comes again."""
         if problem.exc_type is KeyboardInterrupt:
             interrupted.clear()
-            threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
+            threading.Timer(0.01, signal.pthread_kill, [threading.main_thread().ident, signal.SIGINT]).start()
         else:
             hook(problem)
 

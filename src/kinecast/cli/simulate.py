@@ -13,6 +13,7 @@ from tyro.conf import arg
 from kinecast import __version__
 from kinecast.cli.options import Switch, check_seed
 from kinecast.cli.output_paths import check_folder
+from kinecast.cli.progress import compiling
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
@@ -147,7 +148,8 @@ def play(names: tuple[str, ...], predictor: str, cast: Cast) -> dict[str, tuple[
 
     player, forecasters, episodes = cast.player(), Forecasters(cast.samples), {}
     for name in names:
-        simulation = simulate_scenario(name, predictor, cast.seed, forecasters, player)
+        with compiling():
+            simulation = simulate_scenario(name, predictor, cast.seed, forecasters, player)
         print(f"{name}: {SCENARIOS[name].about if player is None else 'a recorded person'}")
         for command in simulation.steps():
             if command.news:

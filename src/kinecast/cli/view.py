@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kinecast.cli.progress import compiling
 from kinecast.cli.simulate import Cast, closing_table, sentence, write
 from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
@@ -43,7 +44,8 @@ def serve(host: str, port: int, scenario: str, predictor: str, cast: Cast, out: 
         name = setting.scenario if player is None else next(iter(SCENARIOS))
         print(f"{setting.scenario}, {setting.predictor}, {100 * setting.level:g} %", flush=True)
         options = SupervisorOptions(occupancy=OccupancyOptions(level=setting.level))
-        return simulate_scenario(name, setting.predictor, cast.seed, forecasters, player, options)
+        with compiling():
+            return simulate_scenario(name, setting.predictor, cast.seed, forecasters, player, options)
 
     def tell(decision: Decision) -> None:
         print(sentence(decision), flush=True)
