@@ -242,12 +242,24 @@ def _returns(p: np.ndarray, a: int, b: int, c: int, e: int) -> bool:
 
 @njit(cache=True)
 @no_type_check
+def _sound(flaws: np.ndarray) -> np.ndarray:
+    """Frames (K,) without a flaw (N,), by a loop: it compiles faster than array expressions."""
+    frames, count = np.empty(len(flaws), dtype=np.int64), 0
+    for i in range(len(flaws)):
+        if flaws[i] == NONE:
+            frames[count] = i
+            count += 1
+    return frames[:count]
+
+
+@njit(cache=True)
+@no_type_check
 def _find_jumps(positions: np.ndarray, stamps: np.ndarray, limits: tuple[float, ...], flaws: np.ndarray) -> None:
     windows, _, joints = flaws.shape
     for w in range(windows):
         for j in range(joints):
             p, flaw = positions[w, :, j], flaws[w, :, j]
-            sound = np.flatnonzero(flaw == NONE)
+            sound = _sound(flaw)
             jolt = np.zeros(len(sound), dtype=np.bool_)
             for m in range(1, len(sound)):
                 jolt[m] = _is_jolt(p, stamps[w], sound, m, limits)
@@ -316,11 +328,12 @@ def _fill(p: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, max_gap: float, 
         if before >= 0 and first < after < len(flaws) and stamps[after] - stamps[first] <= max_gap + ROUNDING:
             for d in range(3):
                 _bridge(p[:, d], stamps, flaws, before, after)
-            touched[first:after] = True
+            for k in range(first, after):
+                touched[k] = True
         else:
             for k in range(first, after):
                 if flaws[k] != REPEATED:
-                    p[k] = math.nan
+                    p[k, 0] = p[k, 1] = p[k, 2] = math.nan
         before = after
 
 
@@ -361,14 +374,14 @@ def _repair(
             p, times, flaw = positions[w, :, j], stamps[w], flaws[w, :, j]
             _find_newest_jump(p, times, flaw, max_speed)
             _fill(p, times, flaw, math.inf, touched[w, :, j])
-            sound = np.flatnonzero(flaw == NONE)
+            sound = _sound(flaw)
             if len(sound) == 0:
                 continue
             first, last = sound[0], sound[-1]
             for i in range(frames):
-                if i < first:  # held back to the start
-                    p[i] = p[first]
-                elif i > last:
-                    for d in range(3):
+                for d in range(3):
+                    if i < first:  # held back to the start
+                        p[i, d] = p[first, d]
+                    elif i > last:
                         p[i, d] = _carried_on(p[:, d], times, flaw, last, times[i])
                 touched[w, i, j] |= i < first or i > last
