@@ -141,7 +141,7 @@ def differences(before: Sequence[Recording], after: Sequence[Recording]) -> list
 
 
 def _between(a: Recording, b: Recording) -> list[str]:
-    """What is not the same in two recordings of a person."""
+    """What is not the same in two recordings of one person."""
     lines = []
     for name in ("name", "format", "subject", "task", "labels"):
         one, other = getattr(a, name), getattr(b, name)

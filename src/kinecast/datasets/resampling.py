@@ -70,8 +70,9 @@ def _interpolated(
     left = np.where(np.abs(stamps[right] - wanted) <= SAME, right, np.maximum(right - 1, 0))
     step = stamps[right] - stamps[left]
     share = ((wanted - stamps[left]) / np.where(step > 0, step, 1.0) * (step > 0))[:, None, None]
-    positions: Float[np.ndarray, "K J 3"]
-    positions = (1.0 - share) * recording.positions[left] + share * recording.positions[right]
+    positions = recording.positions[left]
+    positions *= 1.0 - share
+    positions += share * recording.positions[right]
     positions[~np.isfinite(positions).all(axis=-1)] = np.nan
     positions[step > longest_step] = np.nan
     return positions

@@ -1,9 +1,16 @@
 """Generated people at a table: used where no recording can be shipped, and where the truth must be known.
 
-people: what can be chosen, and the recordings. body: how a person is built and posed. paths: minimum-jerk paths.
+generator: what can be chosen, and the recordings. physique: how a person is built and posed. paths: minimum-jerk paths.
 activity: what people do, and when. sensor: what a tracker makes of it.
 """
 
-from kinecast.datasets.synthetic.people import Fetch, SyntheticOptions, fetching, generate, generate_clean, table_scene
+from kinecast.datasets.synthetic.generator import (
+    Fetch,
+    SyntheticOptions,
+    fetching,
+    generate,
+    generate_clean,
+    table_scene,
+)
 
 __all__ = ["Fetch", "SyntheticOptions", "fetching", "generate", "generate_clean", "table_scene"]

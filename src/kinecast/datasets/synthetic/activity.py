@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.datasets.synthetic.body import Body, Trunk, joints, reach_ratio, shoulder
 from kinecast.datasets.synthetic.paths import PEAK, Path, Sway
+from kinecast.datasets.synthetic.physique import Body, Trunk, joints, reach_ratio, shoulder
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 
@@ -71,7 +71,7 @@ class Actor:
         self._reach({hand: self._rest(hand)}, ("Re", "Re"))
 
     def joints(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 10 3"]:
-        """(N, 10, 3) true joint positions [m] at times [s], in the order of `body.JOINTS`."""
+        """(N, 10, 3) true joint positions [m] at times [s], in the order of `physique.JOINTS`."""
         wander = self._wander.at(times)
         trunk = Trunk(wander[:, :2], *(self._trunk.at(times) + wander[:, 2:]).T)
         hands = [path.at(times) + sway.at(times) for path, sway in zip(self._hands, self._tremble, strict=True)]

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.signal import lfilter
 
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.synthetic.body import JOINTS
+from kinecast.datasets.synthetic.physique import JOINTS
 
 BREATHING_TIME = 0.83
 """Correlation time of the common bone length [s]; HA4M: 0.96, 0.67, 0.26 after 1, 10, 30 frames at 30 Hz."""
@@ -35,7 +35,7 @@ def sense(
     jumps: float,
     dropouts: float,
 ) -> Recording:
-    """A recording of `body.JOINTS` as a tracker would have made it; the flaws are those of `SyntheticOptions`."""
+    """A recording of `physique.JOINTS` as a tracker would have made it; the flaws are those of `SyntheticOptions`."""
     positions = truth.positions * 1.0
     chest = positions[:, JOINTS.index("chest"), None]
     factor = 1.0 + breathing * _breathing(rng, len(positions), truth.rate)

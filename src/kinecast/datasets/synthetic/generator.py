@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic.activity import LEFT, RIGHT, TASKS, WRIST_ABOVE_TABLE, Actor
-from kinecast.datasets.synthetic.body import JOINTS, Body
+from kinecast.datasets.synthetic.physique import JOINTS, Body
 from kinecast.datasets.synthetic.sensor import sense
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
