@@ -12,12 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from kinecast.prediction.forecast import Forecast
 
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
-from kinecast.prediction.forecast import Forecast
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 
@@ -56,7 +56,7 @@ class Fading:
         observation: Observation,
         rng: np.random.Generator,
         samples: int,
-        scene: Scene | None = None,  # noqa: ARG002 - this method knows no obstacles
+        scene: Scene | None = None,
     ) -> Forecast:
         """A distribution over the next T steps, all randomness from rng."""
         mean = self.mean(observation.positions[None])[0]

@@ -75,7 +75,7 @@ class PoseDensity:
     def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
         """(T,) log density [nats per m^18]; NaN where a joint is NaN."""
         known = np.isfinite(positions).all(axis=(1, 2))
-        poses = np.where(known[:, None, None], self.observation.to_torso(positions), self.centre)
+        poses = self.observation.to_torso(np.where(known[:, None, None], positions, self.observation.positions[-1]))
         log_weights, blocks = self.blocks.log_blocks(poses)
         allowed = 0.0 if self.constraint is None else self.constraint.log_factor(poses)
         log_g = log_weights[:, None] + with_faults(blocks, log_fault(poses, self.centre), allowed)

@@ -144,14 +144,14 @@ class ThreadDesk:
         """What is being worked on."""
         return self._request
 
-    def ask(self, request: Request, now: float) -> None:  # noqa: ARG002
+    def ask(self, request: Request, now: float) -> None:
         """Hands a request to the thread, after the one it is working on."""
         if self._future is not None:
             self._future.cancel()
         self._request = request
         self._future = self._pool.submit(_answered, self._solve, request)
 
-    def answer(self, now: float) -> Answer | None:  # noqa: ARG002
+    def answer(self, now: float) -> Answer | None:
         """The answer, once, when the thread is done."""
         if self._future is None or not self._future.done():
             return None

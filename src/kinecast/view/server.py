@@ -21,7 +21,7 @@ __all__ = ["check_address", "open_server", "stop_server", "url_of"]
 class _Server(ViserServer):
     """A server that opens no tunnel to a public address, whoever asks for one."""
 
-    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
+    def request_share_url(self, verbose: bool = True) -> str | None:
         return None
 
 

@@ -18,17 +18,18 @@ import numpy as np
 from dataclasses import dataclass, replace
 from kinecast.prediction.linear import zero_velocity
 from kinecast.prediction.gaussian import PositionGaussian
+from kinecast.prediction.method import Memoryless
 
 good = PositionGaussian(6, 3, 1 / 30, zero_velocity(6, 3), 0.1 * np.eye(54))
 
 @dataclass(frozen=True)
-class Wrong:
+class Wrong(Memoryless):
     how: object
     frames: int = 6
     steps: int = 3
     dt: float = 1 / 30
-    def forecast(self, observation, rng, samples, scene=None):
-        return self.how(forecast_in_scene(good, None, observation, rng, samples, None))
+    def forecast(self, state, observation, rng, samples):
+        return self.how(good.forecast(state, observation, rng, samples))
     def to_arrays(self):
         return {}
 

@@ -15,7 +15,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
-from kinecast.prediction.method import Forecast, Method, forecast_in_scene
+from kinecast.prediction.method import Forecast, Memoryless, Method
 from kinecast.prediction.observation import Observation
 from kinecast.predictor import HAND_SPEED, Predictor, PredictorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
@@ -372,20 +372,18 @@ def test_a_scene_holds_online(trained: dict[str, Method[Any]]) -> None:
     assert inside[0].diagnostics["effective_sample_size"] == round(60 * inside[0].diagnostics["accepted_fraction"])
 
 
-class Failing:
+class Failing(Memoryless):
     """A method that works until it is broken, in one of two ways."""
 
     frames, steps, dt = 6, 3, DT
 
-    def __init__(self, method: Method, nan: bool) -> None:
+    def __init__(self, method: Method[Any], nan: bool) -> None:
         self.method, self.nan, self.broken = method, nan, False
 
-    def forecast(
-        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
-    ) -> Forecast:
+    def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         if self.broken and not self.nan:
             raise np.linalg.LinAlgError("not positive definite")
-        forecast = forecast_in_scene(self.method, None, observation, rng, samples, scene)
+        forecast = self.method.forecast(state, observation, rng, samples)
         return replace(forecast, samples=forecast.samples * (np.nan if self.broken else 1.0))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
