@@ -24,7 +24,7 @@ from kinecast.prediction.constraint import ConstraintFactor
 from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
 from kinecast.prediction.linear import MeanModel, mean_from_arrays
 from kinecast.prediction.method import Forecast, Memoryless
-from kinecast.prediction.model_file import covariance_factor
+from kinecast.prediction.model_file import ModelCard, covariance_factor
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import roll_gaussian
@@ -138,18 +138,7 @@ class _Gaussian(Memoryless):
 
     @classmethod
     def fitting(cls, workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any, noise: float) -> Any:
-        """The same by workers, without limits.
-
-        Args:
-            workers: that fit.
-            fit: how the mean model is fitted.
-            windows: of training.
-            examples: stands for their `examples`.
-            noise: spread of a measured joint about the true one [m].
-
-        Returns:
-            What stands for the method.
-        """
+        """Stands for the same, fitted by workers and without limits; `examples` stands for those of the windows."""
         folds = np.unique(windows.folds(FOLDS)).tolist()
         moments = [workers.submit(residual_moment, fit, examples, fold) for fold in folds]
         model, cholesky = workers.submit(_fit_all, fit, examples), workers.submit(residual_factor, moments)
@@ -169,18 +158,11 @@ class _Gaussian(Memoryless):
         return {**self.mean_model.to_arrays(), "cholesky": self.cholesky}
 
     @classmethod
-    def from_arrays(
-        cls: type[G],
-        arrays: Mapping[str, np.ndarray],
-        frames: int,
-        steps: int,
-        dt: float,
-        noise: float,
-        limits: JointLimits | None,
-    ) -> G:
-        """The method that `to_arrays` described."""
-        cholesky = covariance_factor(arrays, "cholesky", 18 * steps)
-        return cls(frames, steps, dt, mean_from_arrays(arrays, frames, steps, 18), cholesky, noise, limits)
+    def from_arrays(cls: type[G], arrays: Mapping[str, np.ndarray], card: ModelCard) -> G:
+        """The method that `to_arrays` described, without limits."""
+        model = mean_from_arrays(arrays, card.frames, card.steps, 18)
+        cholesky = covariance_factor(arrays, "cholesky", 18 * card.steps)
+        return cls(card.frames, card.steps, card.dt, model, cholesky, card.noise)
 
 
 @dataclass(frozen=True)
@@ -223,7 +205,7 @@ class PostureGaussian(_Gaussian):
         cholesky = with_noise(self.cholesky, coordinate_noise(track[-1], observation.noise))
         draws = rng.standard_normal((samples, len(cholesky)))
         uniforms = rng.random((samples, self.steps, 8))
-        postures = roll_gaussian(mean, cholesky, track[-1], draws, uniforms, *posture_bounds(self.limits), self.dt)
+        postures = roll_gaussian(mean, cholesky, track[-1], draws, uniforms, posture_bounds(self.limits), self.dt)
         motions = observation.to_world(points_from_postures(postures))
 
         def free() -> Float[np.ndarray, "S T 6 3"]:

@@ -14,7 +14,7 @@ import numpy as np
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError, OptionError
-from kinecast.prediction.gaussian import Fit, PositionGaussian, PostureGaussian, position_examples, posture_examples
+from kinecast.prediction.gaussian import PositionGaussian, PostureGaussian, position_examples, posture_examples
 from kinecast.prediction.kinecast.model import kinecast_from_arrays
 from kinecast.prediction.linear import (
     MeanModel,
@@ -66,8 +66,6 @@ METHODS: Mapping[str, str] = {
 }
 """Every method and what it does."""
 
-Array = np.ndarray
-
 FREE = {
     "kalman_constrained": "kalman_angles",
     "ridge_constrained": "ridge_angles",
@@ -81,24 +79,16 @@ SHIPPED = ("zero_velocity", "damped_velocity", "gp_constrained", "kinecast")
 
 
 @dataclass(frozen=True)
-class TrainingOptions:
+class TrainingOptions(SparseGPOptions):
     """How methods are trained.
 
     Attributes:
         limits: range and speed of the arm's angles; ranges are widened to hold the training postures, since markers
             are not always at the joints.
-        seed: of everything random.
-        pseudo_inputs: M of each sparse GP.
-        points: most windows a sparse GP is trained on.
-        iterations: of the GP's marginal likelihood maximisation.
         descent: steps of it, for the neural forecaster.
     """
 
     limits: JointLimits = field(default_factory=JointLimits)
-    seed: int = 0
-    pseudo_inputs: int = 16
-    points: int = 2000
-    iterations: int = 100
     descent: int = 1500
 
 
@@ -163,12 +153,11 @@ class _Fitting:
 
             own = KinecastOptions(seed=options.seed)
             return fitting_kinecast(workers, windows, self._data, self._limits, self._noise, own)
-        process = SparseGPOptions(options.pseudo_inputs, options.iterations, options.seed)
         if name == "gp_xyz":
-            return PositionSeries.fitting(workers, windows, self._data, options.points, process)
+            return PositionSeries.fitting(workers, windows, self._data, options)
         if name == "gp_angles":
-            return PostureSeries.fitting(workers, windows, self._postures, options.points, process, self._noise)
-        fit = _fit(name.removesuffix("_angles"), windows, options)
+            return PostureSeries.fitting(workers, windows, self._postures, options, self._noise)
+        fit = partial(_fit_mean, name.removesuffix("_angles"), options, windows.dt)
         if name.endswith("_angles"):
             return PostureGaussian.fitting(workers, fit, windows, self._postures, self._noise)
         return PositionGaussian.fitting(workers, fit, windows, self._positions, self._noise)
@@ -215,27 +204,20 @@ def check_names(names: Sequence[str]) -> None:
         raise OptionError(f"unknown method {', '.join(unknown) or '(none)'}; methods are {', '.join(METHODS)}")
 
 
-def _fit(name: str, windows: TrainingWindows, options: TrainingOptions) -> Fit:
-    """How the mean model of a baseline is fitted."""
-    fits: dict[str, Fit] = {
-        "zero_velocity": partial(_of_shape, zero_velocity),
-        "constant_velocity": partial(_of_shape, constant_velocity),
-        "damped_velocity": partial(_of_values, partial(damped_velocity, dt=windows.dt)),
-        "kalman": partial(_of_values, kalman),
-        "ridge": fit_ridge,
-        "mixer": partial(_of_values, partial(fit_mixer, steps=options.descent, seed=options.seed)),
+def _fit_mean(
+    name: str, options: TrainingOptions, dt: float, windows: np.ndarray, futures: np.ndarray, folds: np.ndarray
+) -> MeanModel:
+    """Fits the mean model of a baseline."""
+    frames, steps = windows.shape[1], futures.shape[1]
+    fits: dict[str, Callable[[], MeanModel]] = {
+        "zero_velocity": lambda: zero_velocity(frames, steps),
+        "constant_velocity": lambda: constant_velocity(frames, steps),
+        "damped_velocity": lambda: damped_velocity(windows, futures, dt),
+        "kalman": lambda: kalman(windows, futures),
+        "ridge": lambda: fit_ridge(windows, futures, folds),
+        "mixer": lambda: fit_mixer(windows, futures, steps=options.descent, seed=options.seed),
     }
-    return fits[name]
-
-
-def _of_shape(make: Callable[[int, int], MeanModel], windows: Array, futures: Array, _folds: Array) -> MeanModel:
-    """A mean model that only needs to know how many frames and steps there are."""
-    return make(windows.shape[1], futures.shape[1])
-
-
-def _of_values(fit: Callable[[Array, Array], MeanModel], windows: Array, futures: Array, _folds: Array) -> MeanModel:
-    """A mean model that does without folds."""
-    return fit(windows, futures)
+    return fits[name]()
 
 
 def save_method(path: Path, card: ModelCard, method: Method[Any]) -> None:
@@ -263,15 +245,14 @@ def read_method(path: Path) -> tuple[ModelCard, Method[Any]]:
 
 
 def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method[Any]:
-    shape = (card.frames, card.steps, card.dt)
     if card.method == "kinecast":
-        return kinecast_from_arrays(arrays, *shape, card.noise, card.limits)
+        return kinecast_from_arrays(arrays, card)
     if card.method == "gp_xyz":
-        return PositionSeries.from_arrays(arrays, *shape)
-    limits = card.limits if card.method in FREE else None
+        return PositionSeries.from_arrays(arrays, card)
     free = FREE.get(card.method, card.method)
     kind = PostureSeries if free == "gp_angles" else PostureGaussian if free.endswith("_angles") else PositionGaussian
-    return kind.from_arrays(arrays, *shape, card.noise, limits)
+    method = kind.from_arrays(arrays, card)
+    return method if free == card.method else method.with_limits(card.limits)
 
 
 def read_shipped(name: str = SHIPPED[-1]) -> tuple[ModelCard, Method[Any]]:

@@ -21,7 +21,7 @@ from kinecast.prediction.constraint import ConstraintFactor
 from kinecast.prediction.density import PoseDensity
 from kinecast.prediction.gaussian import Examples
 from kinecast.prediction.method import Forecast, Memoryless
-from kinecast.prediction.model_file import shaped
+from kinecast.prediction.model_file import ModelCard, shaped
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import LENGTHS, RELATIVE, SERIES, roll_positions, roll_series
@@ -40,23 +40,23 @@ class _Series(NamedTuple):
     length_spread: Float[np.ndarray, "T 4"]
 
 
-def _chosen(windows: int, points: int, seed: int) -> Int[np.ndarray, " K"]:
+def _chosen(windows: int, options: SparseGPOptions) -> Int[np.ndarray, " K"]:
     """The same random choice of windows for every series."""
-    return np.sort(np.random.default_rng(seed).permutation(windows)[:points])
+    return np.sort(np.random.default_rng(options.seed).permutation(windows)[: options.points])
 
 
-def _position_series(windows: TrainingWindows, points: int, seed: int) -> _Series:
+def _position_series(windows: TrainingWindows, options: SparseGPOptions) -> _Series:
     """World coordinates as they are, as the paper has it."""
-    rows = _chosen(len(windows), points, seed)
+    rows = _chosen(len(windows), options)
     inputs = windows.observed[rows].reshape(len(rows), -1, 18).transpose(2, 0, 1)
     return _Series(inputs, windows.future[rows, 0].reshape(-1, 18).T, np.empty((0, len(LENGTHS))))
 
 
-def _posture_series(examples: Examples, points: int, seed: int) -> _Series:
+def _posture_series(examples: Examples, options: SparseGPOptions) -> _Series:
     """Torso pose relative to its last value, angles as they are; how far bone lengths stray from their last value."""
     series, bones = list(SERIES), list(LENGTHS)
     stray = examples.future[..., bones] - examples.observed[:, -1:, bones]
-    rows = _chosen(len(examples.observed), points, seed)
+    rows = _chosen(len(examples.observed), options)
     inputs, outputs = examples.observed[rows][:, :, series], examples.future[rows, 0][:, series]
     last = inputs[:, -1:, :RELATIVE].copy()
     inputs[..., :RELATIVE] -= last
@@ -83,17 +83,9 @@ class PositionSeries(Memoryless):
     processes: SparseGPs
 
     @staticmethod
-    def fitting(workers: Workers, windows: TrainingWindows, data: Any, points: int, options: SparseGPOptions) -> Any:
-        """One process per coordinate; stands for the method.
-
-        Args:
-            workers: that do the tasks.
-            windows: to train on.
-            data: stands for the same.
-            points: most windows to train on.
-            options: of each process.
-        """
-        series = workers.submit(_position_series, data, points, options.seed)
+    def fitting(workers: Workers, windows: TrainingWindows, data: Any, options: SparseGPOptions) -> Any:
+        """Stands for the method, one process per coordinate; `data` stands for the windows."""
+        series = workers.submit(_position_series, data, options)
         return workers.submit(PositionSeries, *windows.shape, _fit(workers, series, 18, options))
 
     def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
@@ -112,9 +104,9 @@ class PositionSeries(Memoryless):
         return dict(self.processes._asdict())
 
     @staticmethod
-    def from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float) -> PositionSeries:
+    def from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> PositionSeries:
         """The method that `to_arrays` described."""
-        return PositionSeries(frames, steps, dt, SparseGPs.from_arrays(arrays, 18, frames))
+        return PositionSeries(card.frames, card.steps, card.dt, SparseGPs.from_arrays(arrays, 18, card.frames))
 
 
 @dataclass(frozen=True)
@@ -138,19 +130,10 @@ class PostureSeries(Memoryless):
 
     @staticmethod
     def fitting(
-        workers: Workers, windows: TrainingWindows, examples: Any, points: int, options: SparseGPOptions, noise: float
+        workers: Workers, windows: TrainingWindows, examples: Any, options: SparseGPOptions, noise: float
     ) -> Any:
-        """One process per coordinate; stands for the method, without limits.
-
-        Args:
-            workers: that do the tasks.
-            windows: to train on.
-            examples: stands for their `posture_examples`.
-            points: most windows to train on.
-            options: of each process.
-            noise: spread of a measured joint about the true one [m].
-        """
-        series = workers.submit(_posture_series, examples, points, options.seed)
+        """Stands for the method, without limits; `examples` stands for the windows' `posture_examples`."""
+        series = workers.submit(_posture_series, examples, options)
         processes = _fit(workers, series, len(SERIES), options)
         return workers.submit(_posture_method, windows.shape, processes, series, noise)
 
@@ -165,7 +148,7 @@ class PostureSeries(Memoryless):
         postures, means, spreads = roll_series(
             coordinates_from_postures(track), offsets, self.processes, self.length_spread, track[-1],
             rng.standard_normal((samples, self.steps, 18)), rng.random((samples, self.steps, 8)),
-            *posture_bounds(self.limits), self.dt,
+            posture_bounds(self.limits), self.dt,
         )  # fmt: skip
         points = points_from_postures(postures)
         mean = points.mean(axis=0)
@@ -185,20 +168,13 @@ class PostureSeries(Memoryless):
         return {**self.processes._asdict(), "length_spread": self.length_spread}
 
     @staticmethod
-    def from_arrays(
-        arrays: Mapping[str, np.ndarray],
-        frames: int,
-        steps: int,
-        dt: float,
-        noise: float,
-        limits: JointLimits | None,
-    ) -> PostureSeries:
-        """The method that `to_arrays` described."""
-        processes = SparseGPs.from_arrays(arrays, len(SERIES), frames)
-        spread = shaped(arrays, "length_spread", steps, len(LENGTHS))
+    def from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> PostureSeries:
+        """The method that `to_arrays` described, without limits."""
+        processes = SparseGPs.from_arrays(arrays, len(SERIES), card.frames)
+        spread = shaped(arrays, "length_spread", card.steps, len(LENGTHS))
         if not (spread > 0).all():
             raise ModelError("array length_spread holds values that are not above 0")
-        return PostureSeries(frames, steps, dt, processes, spread, noise, limits)
+        return PostureSeries(card.frames, card.steps, card.dt, processes, spread, card.noise)
 
 
 def _posture_method(

@@ -7,7 +7,7 @@ steps and coordinates, `roll_series` (the paper's) from independent one-step Gau
 from __future__ import annotations
 
 import math
-from typing import no_type_check
+from typing import TypeAlias, no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -39,6 +39,9 @@ INNOVATION = 6.0
 """A draw forced by bounds moves what follows by at most this many standard deviations."""
 
 
+Bounds: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, float]
+
+
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def polar(a: float, b: float, sd_a: float, sd_b: float, previous: float) -> tuple[float, float, float, float]:
@@ -62,10 +65,7 @@ def roll_gaussian(
     initial: Float[np.ndarray, "18"],
     normals: Float[np.ndarray, "S K"],
     uniforms: Float[np.ndarray, "S T 8"],
-    lower: Float[np.ndarray, "18"],
-    upper: Float[np.ndarray, "18"],
-    speed: Float[np.ndarray, "18"],
-    wrist_speed: float,
+    within: Bounds,
     dt: float,
 ) -> Float[np.ndarray, "S T 18"]:
     """Postures drawn one scalar at a time, each conditional on all that was drawn before it.
@@ -78,9 +78,7 @@ def roll_gaussian(
         initial: (18,) last observed posture.
         normals: (S, 18 T) standard normal draws.
         uniforms: (S, T, 8) uniform draws for redrawing θ1..θ4, left then right.
-        lower, upper: (18,) range of a posture [rad]; infinite where unconstrained.
-        speed: (18,) greatest speeds [rad/s]; infinite where unconstrained.
-        wrist_speed: greatest speed of a wrist relative to the torso [m/s]; infinite for none.
+        within: range and speeds of the posture (kinecast.body.limits.posture_bounds).
         dt: time step [s].
 
     Returns:
@@ -92,9 +90,7 @@ def roll_gaussian(
     for t in range(len(mean)):
         step, earlier = slice(18 * t, 18 * t + 18), slice(18 * t)
         centre = mean[t] + white[:, earlier] @ cholesky[step, earlier].T
-        _draw_gaussian_step(
-            centre, cholesky[step, step], white[:, step], uniforms[:, t], lower, upper, speed, wrist_speed, dt, now
-        )
+        _draw_gaussian_step(centre, cholesky[step, step], white[:, step], uniforms[:, t], *within, dt, now)
         # Bones and widths keep a sane length whatever was drawn.
         now[:, POSITIVE] = np.maximum(now[:, POSITIVE], SHORTEST)
         postures[:, t] = now
@@ -103,19 +99,11 @@ def roll_gaussian(
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _draw_gaussian_step(
-    centre: Float[np.ndarray, "S 18"],
-    factor: Float[np.ndarray, "18 18"],
-    white: Float[np.ndarray, "S 18"],
-    uniforms: Float[np.ndarray, "S 8"],
-    lower: Float[np.ndarray, "18"],
-    upper: Float[np.ndarray, "18"],
-    speed: Float[np.ndarray, "18"],
-    wrist_speed: float,
-    dt: float,
-    now: Float[np.ndarray, "S 18"],
-) -> None:
-    """One step of every sample: `now` goes from the last posture to the next, `white` to what it amounts to."""
+def _draw_gaussian_step(centre, factor, white, uniforms, lower, upper, speed, wrist_speed, dt, now):
+    """One step of every sample: `now` (S, 18) goes from the last posture to the next, `white` to what it amounts to.
+
+    `centre` (S, 18) are the means given the earlier steps, `factor` (18, 18) the covariance's block of this one.
+    """
     ceiling = np.empty(18)
     for s in range(len(now)):
         z, posture = white[s], now[s]
@@ -168,10 +156,7 @@ def roll_series(
     initial: Float[np.ndarray, "18"],
     normals: Float[np.ndarray, "S T 18"],
     uniforms: Float[np.ndarray, "S T 8"],
-    lower: Float[np.ndarray, "18"],
-    upper: Float[np.ndarray, "18"],
-    speed: Float[np.ndarray, "18"],
-    wrist_speed: float,
+    within: Bounds,
     dt: float,
 ) -> tuple[Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"], Float[np.ndarray, "S T 18"]]:
     """Algorithm 1: each series' next value from its own last N, by its own Gaussian process, sample by sample.
@@ -187,11 +172,7 @@ def roll_series(
         length_spread: (T, 4) spread of the four bones' lengths about their last ones [m].
         initial: (18,) last observed posture.
         normals: (S, T, 18) standard normal draws.
-        uniforms: (S, T, 8) uniform draws for redrawing θ1..θ4, left then right.
-        lower, upper: (18,) range of a posture [rad]; infinite where unconstrained.
-        speed: (18,) greatest speeds [rad/s]; infinite where unconstrained.
-        wrist_speed: greatest speed of a wrist relative to the torso [m/s]; infinite for none.
-        dt: time step [s].
+        uniforms, within, dt: as for `roll_gaussian`.
 
     Returns:
         (S, T, 18) postures, and (S, T, 18) mean and (S, T, 18) spread of the normal behind each number.
@@ -215,7 +196,7 @@ def roll_series(
         now += means[t]
         for d in POSITIVE:
             np.maximum(now[:, d], SHORTEST, out=now[:, d])
-        _draw_angles(means[t], spreads[t], white[t], uniforms[:, t], before, lower, upper, speed, wrist_speed, dt, now)
+        _draw_angles(means[t], spreads[t], white[t], uniforms[:, t], before, *within, dt, now)
         coordinates = coordinates_from_postures(now)
         for here, there in PARTS:
             past[here, t + frames] = coordinates[:, there].T
@@ -225,22 +206,10 @@ def roll_series(
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _draw_angles(
-    mean: Float[np.ndarray, "S 18"],
-    spread: Float[np.ndarray, "S 18"],
-    normals: Float[np.ndarray, "S 18"],
-    uniforms: Float[np.ndarray, "S 8"],
-    before: Float[np.ndarray, "S 18"],
-    lower: Float[np.ndarray, "18"],
-    upper: Float[np.ndarray, "18"],
-    speed: Float[np.ndarray, "18"],
-    wrist_speed: float,
-    dt: float,
-    now: Float[np.ndarray, "S 18"],
-) -> None:
-    """The arms' angles of every sample's next posture, from the truncated normals of Eq. 2.
+def _draw_angles(mean, spread, normals, uniforms, before, lower, upper, speed, wrist_speed, dt, now):
+    """The arms' angles of every sample's next posture `now` (S, 18), from the truncated normals of Eq. 2.
 
-    `mean` and `spread` come as those of the smooth coordinates and leave as those of the posture's own numbers.
+    `mean` and `spread` (S, 18) come as those of the smooth coordinates and leave as those of the posture's own numbers.
     """
     ceiling = np.empty(18)
     for s in range(len(now)):

@@ -125,36 +125,38 @@ class SparseGPs(NamedTuple):
 
 @dataclass(frozen=True)
 class SparseGPOptions:
-    """How to train a sparse GP.
+    """How sparse GPs are trained.
 
     Attributes:
+        seed: of everything random.
         pseudo_inputs: M, at most the number of points.
-        iterations: L-BFGS iterations.
-        seed: of the k-means.
+        points: most windows trained on, drawn at random where there are more.
+        iterations: of L-BFGS.
 
     Raises:
         OptionError: if one of them is out of range.
     """
 
-    pseudo_inputs: int = 32
-    iterations: int = 150
     seed: int = 0
+    pseudo_inputs: int = 16
+    points: int = 2000
+    iterations: int = 100
 
     def __post_init__(self) -> None:
-        for name, least in (("pseudo_inputs", 1), ("iterations", 0), ("seed", 0)):
+        for name, least in (("seed", 0), ("pseudo_inputs", 1), ("points", 2), ("iterations", 0)):
             if getattr(self, name) < least:
                 raise OptionError(f"{name} must be at least {least}, found {getattr(self, name)}")
 
 
 def fit_sparse_gp(
-    inputs: Float[np.ndarray, "W N"], outputs: Float[np.ndarray, " W"], options: SparseGPOptions | None = None
+    inputs: Float[np.ndarray, "W N"], outputs: Float[np.ndarray, " W"], options: SparseGPOptions
 ) -> SparseGPs:
     """One SPGP of the marginal likelihood's maximum, starting from k-means centres.
 
     Args:
         inputs: (W, N), any units; W ≥ 2.
         outputs: (W,), any units.
-        options: None takes the defaults.
+        options: its `points` is the caller's.
 
     Returns:
         The posterior given all points, D = 1. The same seed and data give the same result on the same machine.
@@ -163,7 +165,6 @@ def fit_sparse_gp(
         MissingExtraError: without JAX.
         OptionError: if the data hold too few points or numbers that are not finite.
     """
-    options = options or SparseGPOptions()
     if len(inputs) < 2:
         raise OptionError(f"a sparse GP needs at least 2 points, found {len(inputs)}")
     if not (np.isfinite(inputs).all() and np.isfinite(outputs).all()):

@@ -57,7 +57,7 @@ def assert_inside(postures: np.ndarray, initial: np.ndarray, limits: JointLimits
 def test_every_gaussian_draw_is_inside_the_bounds_of_equation_4(spread: float) -> None:
     rng = np.random.default_rng(0)
     mean, factor = gaussian(rng, spread)
-    postures = roll_gaussian(mean, factor, START, *noise(rng, 150), *posture_bounds(TIGHT), DT)
+    postures = roll_gaussian(mean, factor, START, *noise(rng, 150), posture_bounds(TIGHT), DT)
     assert np.isfinite(postures).all()
     assert_inside(postures, START, TIGHT)
     for broken in violations(postures, START, DT, TIGHT):
@@ -68,7 +68,7 @@ def test_every_gaussian_draw_is_inside_the_bounds_of_equation_4(spread: float) -
 def test_a_mean_far_outside_is_held_at_the_edge(shift: float) -> None:
     rng = np.random.default_rng(1)
     mean, factor = gaussian(rng, 0.01)
-    postures = roll_gaussian(mean + shift, factor, START, *noise(rng, 50), *posture_bounds(TIGHT), DT)
+    postures = roll_gaussian(mean + shift, factor, START, *noise(rng, 50), posture_bounds(TIGHT), DT)
     assert_inside(postures, START, TIGHT)
     lower, upper, speed = TIGHT.of_posture()
     edge = bounds(lower[6], upper[6], speed[6], START[6], DT)[int(shift > 0)]
@@ -80,7 +80,7 @@ def test_a_start_outside_its_range_comes_back_at_full_speed() -> None:
     outside = START.copy()
     outside[[6, 9, 12]] = [0.9, 1.9, -1.4]
     mean, factor = gaussian(rng, 0.1)
-    postures = roll_gaussian(mean, factor, outside, *noise(rng, 100), *posture_bounds(TIGHT), DT)
+    postures = roll_gaussian(mean, factor, outside, *noise(rng, 100), posture_bounds(TIGHT), DT)
     assert_inside(postures, outside, TIGHT)
     reach = 2.0 * DT * np.arange(1, T + 1)
     np.testing.assert_allclose(postures[:, :, 6], np.broadcast_to(0.9 - reach, (100, T)), atol=1e-12)
@@ -92,7 +92,7 @@ def test_without_bounds_draws_are_the_joint_gaussian() -> None:
     rng = np.random.default_rng(3)
     mean, factor = gaussian(rng, 0.03)
     count = 4000
-    postures = roll_gaussian(mean, factor, START, *noise(rng, count), *FREE, DT)
+    postures = roll_gaussian(mean, factor, START, *noise(rng, count), FREE, DT)
     drawn = coordinates_from_postures(postures).reshape(count, -1)
     covariance = factor @ factor.T
     deviation = np.sqrt(np.diag(covariance))
@@ -106,7 +106,7 @@ def test_without_bounds_draws_are_the_linear_map_of_their_normals() -> None:
     rng = np.random.default_rng(4)
     mean, factor = gaussian(rng, 0.05)
     normals, uniforms = noise(rng, 30)
-    postures = roll_gaussian(mean, factor, START, normals, uniforms, *FREE, DT)
+    postures = roll_gaussian(mean, factor, START, normals, uniforms, FREE, DT)
     expected = mean + (normals @ factor.T).reshape(30, T, 18)
     np.testing.assert_allclose(coordinates_from_postures(postures), expected, atol=1e-12)
 
@@ -117,8 +117,8 @@ def test_limits_that_never_bind_change_nothing() -> None:
     draws = noise(rng, 50)
     wide = JointLimits()
     np.testing.assert_array_equal(
-        roll_gaussian(mean, factor, START, *draws, *posture_bounds(wide), DT),
-        roll_gaussian(mean, factor, START, *draws, *FREE, DT),
+        roll_gaussian(mean, factor, START, *draws, posture_bounds(wide), DT),
+        roll_gaussian(mean, factor, START, *draws, FREE, DT),
     )
 
 
@@ -126,7 +126,7 @@ def test_where_a_bound_binds_the_first_step_follows_the_truncated_normal() -> No
     rng = np.random.default_rng(6)
     mean = np.repeat(coordinates_from_postures(START)[None], T, axis=0)
     factor = 0.05 * np.eye(18 * T)
-    postures = roll_gaussian(mean, factor, START, *noise(rng, 4000), *posture_bounds(TIGHT), DT)
+    postures = roll_gaussian(mean, factor, START, *noise(rng, 4000), posture_bounds(TIGHT), DT)
     lower, upper, speed = TIGHT.of_posture()
     for d in (6, 7, 12, 13):
         lb, ub = bounds(lower[d], upper[d], speed[d], START[d], DT)
@@ -148,7 +148,7 @@ def test_a_redrawn_step_moves_what_hangs_on_it() -> None:
     normals = np.zeros((1, 18 * T))
     normals[0, 6] = 4.0
     limits = JointLimits(flexion=AngleLimit(-1.0, 0.5, 12.0))
-    postures = roll_gaussian(mean, factor, START, normals, np.full((1, T, 8), 0.5), *posture_bounds(limits), DT)
+    postures = roll_gaussian(mean, factor, START, normals, np.full((1, T, 8), 0.5), posture_bounds(limits), DT)
     np.testing.assert_allclose(postures[0, 1:, 6], postures[0, 0, 6], atol=1e-4)
     assert START[6] - 12 * DT <= postures[0, 0, 6] <= 0.5
 
@@ -157,7 +157,7 @@ def test_wrist_speed_binds_through_the_jacobian() -> None:
     rng = np.random.default_rng(7)
     mean, factor = gaussian(rng, 1.0)
     slow = JointLimits(wrist_speed=0.3)
-    postures = roll_gaussian(mean, factor, START, *noise(rng, 60), *posture_bounds(slow), DT)
+    postures = roll_gaussian(mean, factor, START, *noise(rng, 60), posture_bounds(slow), DT)
     position, speed = violations(postures, START, DT, slow)
     assert not position.any()
     assert not speed.any()
@@ -172,7 +172,7 @@ def test_at_a_straight_elbow_draws_stay_finite_and_inside() -> None:
     mean = np.repeat(coordinates_from_postures(straight)[None], T, axis=0)
     for factor in (0.05 * np.eye(18 * T), gaussian(rng, 0.05)[1]):
         limits = JointLimits(axial_rotation=AngleLimit(-0.7, 0.2, 12.0))
-        postures = roll_gaussian(mean, factor, straight, *noise(rng, 200), *posture_bounds(limits), DT)
+        postures = roll_gaussian(mean, factor, straight, *noise(rng, 200), posture_bounds(limits), DT)
         assert np.isfinite(postures).all()
         assert_inside(postures, straight, limits)
         assert (postures[:, :, [9, 15]] >= 0.0).all()
@@ -181,14 +181,14 @@ def test_at_a_straight_elbow_draws_stay_finite_and_inside() -> None:
 def test_bones_never_shrink_to_nothing() -> None:
     rng = np.random.default_rng(9)
     mean = np.repeat(coordinates_from_postures(START)[None], T, axis=0)
-    postures = roll_gaussian(mean, np.eye(18 * T), START, *noise(rng, 100), *FREE, DT)
+    postures = roll_gaussian(mean, np.eye(18 * T), START, *noise(rng, 100), FREE, DT)
     assert postures[:, :, [5, 10, 11, 16, 17]].min() == 0.05
 
 
 def test_no_draws_are_no_trouble() -> None:
     rng = np.random.default_rng(10)
     mean, factor = gaussian(rng, 0.1)
-    assert roll_gaussian(mean, factor, START, *noise(rng, 0), *FREE, DT).shape == (0, T, 18)
+    assert roll_gaussian(mean, factor, START, *noise(rng, 0), FREE, DT).shape == (0, T, 18)
 
 
 def test_polar_is_first_order_away_from_a_straight_elbow() -> None:
@@ -223,7 +223,7 @@ def series_draws(
     uniforms = rng.random((draws, method.steps, 8))
     rolled = roll_series(
         coordinates_from_postures(track), offsets, method.processes, method.length_spread, track[-1],
-        normals, uniforms, *posture_bounds(limits), method.dt,
+        normals, uniforms, posture_bounds(limits), method.dt,
     )  # fmt: skip
     return rolled, normals, track[-1]
 

@@ -130,7 +130,9 @@ def test_the_same_seed_gives_the_same_model_and_another_seed_another(model: Spar
 def test_degenerate_data_train_to_something_finite() -> None:
     x, y = waves(0)
     for inputs, outputs in ((np.repeat(x[:4], 50, axis=0), y), (x, np.zeros_like(y)), (x * [1.0, 0.0], 1e6 * y)):
-        mean, spread = predicted(fit_sparse_gp(inputs, outputs, SparseGPOptions(12, 10)), inputs)
+        mean, spread = predicted(
+            fit_sparse_gp(inputs, outputs, SparseGPOptions(pseudo_inputs=12, iterations=10)), inputs
+        )
         assert np.isfinite(mean).all()
         assert np.all(spread > 0)
 
@@ -144,11 +146,11 @@ def test_without_jax_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 def test_data_and_options_it_cannot_be_trained_with_are_refused() -> None:
     x, y = waves(0)
     with pytest.raises(OptionError, match="at least 2 points, found 1"):
-        fit_sparse_gp(x[:1], y[:1])
+        fit_sparse_gp(x[:1], y[:1], SMALL)
     y[7] = np.inf
     with pytest.raises(OptionError, match="finite"):
-        fit_sparse_gp(x, y)
-    for option in ({"pseudo_inputs": 0}, {"iterations": -1}, {"seed": -1}):
+        fit_sparse_gp(x, y, SMALL)
+    for option in ({"pseudo_inputs": 0}, {"points": 1}, {"iterations": -1}, {"seed": -1}):
         with pytest.raises(OptionError, match=next(iter(option))):
             SparseGPOptions(**option)
 
@@ -183,7 +185,7 @@ def test_it_agrees_with_gpy() -> None:
     """GPy's FITC: the same prediction at the same parameters, the same score after its own training."""
     GPy = pytest.importorskip("GPy")
     x, y, test_x, test_y = (array.reshape(800, -1)[:, :1] for seed in (2, 1) for array in waves(seed, 800))
-    ours = fit_sparse_gp(x, y[:, 0], SparseGPOptions(pseudo_inputs=8))
+    ours = fit_sparse_gp(x, y[:, 0], SparseGPOptions(pseudo_inputs=8, iterations=150))
     mean, sd = y.mean(), y.std()
     a, b, test = x * ours.gain - ours.offset, (y - mean) / sd, test_x * ours.gain - ours.offset
     rbf = GPy.kern.RBF(1, variance=ours.signal[0] / sd**2, lengthscale=1.0)

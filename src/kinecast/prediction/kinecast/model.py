@@ -25,6 +25,7 @@ from kinecast.prediction.kinecast.features import WindowMotion, yaw_frame
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 from kinecast.prediction.kinecast.weights import Gate, GateInputs, fallback_weights, gate_inputs, rolling_errors
 from kinecast.prediction.method import Forecast
+from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.sampling import sample_motions
 
@@ -321,9 +322,7 @@ def _without(mixture: Mixture, dropped: set[int]) -> Mixture:
     return replace(mixture, experts=experts, gate=gate)
 
 
-def kinecast_from_arrays(
-    arrays: Mapping[str, np.ndarray], frames: int, steps: int, dt: float, noise: float, limits: JointLimits | None
-) -> Kinecast:
+def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> Kinecast:
     """The method that `Kinecast.to_arrays` described.
 
     Raises:
@@ -337,6 +336,6 @@ def kinecast_from_arrays(
     experts = [expert_from_arrays(parts[f"expert{k}"]) for k in range(sum(name.startswith("expert") for name in parts))]
     gate = Gate(**{f.name: parts["gate"][f.name] for f in fields(Gate)})
     error_model = ErrorModel(**{f.name: parts["spread"][f.name] for f in fields(ErrorModel)})
-    if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != steps:
+    if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != card.steps:
         raise ValueError(f"{len(experts)} experts, {error_model.factor.shape[0]} steps")
-    return Kinecast(Mixture(experts, gate, frames, steps), error_model, dt, noise, limits)
+    return Kinecast(Mixture(experts, gate, card.frames, card.steps), error_model, card.dt, card.noise, card.limits)
