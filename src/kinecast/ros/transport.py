@@ -148,8 +148,8 @@ class RosSink:
         ended = False
         while not ended:
             with suppress(queue.Empty):
-                patience = max(self._publisher.next_expiry - time.monotonic(), 0.0)
-                publication = self._waiting.get(timeout=min(patience, LOOK))
+                due = math.inf if self.failure else self._publisher.next_expiry - time.monotonic()
+                publication = self._waiting.get(timeout=min(max(due, 0.0), LOOK))
                 if publication is None:
                     ended = True
                 elif self._attempts.succeeds(self._tell, publication):
