@@ -23,6 +23,8 @@ Callback = Callable[[str, bytes], None]
 """Takes a topic and the bytes of a message that came on it, in any thread."""
 LOOK = 0.5
 """Longest wait for something to do [s]."""
+CLOSING = 5.0
+"""Longest wait for what waits to be sent [s]: a network that hangs does not hold the end up."""
 
 
 class Transport(ABC):
@@ -135,14 +137,14 @@ class RosSink:
     def close(self) -> None:
         """Sends what waits, deletes all that was drawn or put into a scene, and ends."""
         self._waiting.put(None)
-        self._thread.join()
+        self._thread.join(CLOSING)
 
     def _run(self) -> None:
         ended = False
         while not ended:
             with suppress(queue.Empty):
-                patience = max(self._publisher.next_expiry - time.monotonic(), 0.0)
-                publication = self._waiting.get(timeout=min(patience, LOOK))
+                due = math.inf if self.counters.failure else self._publisher.next_expiry - time.monotonic()
+                publication = self._waiting.get(timeout=min(max(due, 0.0), LOOK))
                 if publication is None:
                     ended = True
                 elif self.counters.attempt(self._tell, publication):

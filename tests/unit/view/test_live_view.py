@@ -49,7 +49,7 @@ def publication(predictor: Predictor, number: int, arms: np.ndarray = REST, pers
 
 def settled(view: LiveView, count: int) -> None:
     """Waits until so many publications are accounted for."""
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while view.counters.published + view.counters.dropped < count and time.monotonic() < end:
         time.sleep(0.01)
     assert view.counters.published + view.counters.dropped == count

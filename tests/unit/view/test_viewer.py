@@ -26,8 +26,8 @@ JOINTS = ("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_
 POSE = np.array(
     [[1.15, -0.2, 0.5], [1.1, -0.25, 0.2], [0.9, -0.2, 0.08], [1.15, 0.2, 0.5], [1.1, 0.25, 0.2], [0.9, 0.2, 0.08]]
 )
-LONG = 60.0
-"""Of a wait for another thread, on however busy a machine [s]; it takes milliseconds."""
+LONG = 240.0
+"""Of a wait for another thread, on however busy a machine [s]; it takes milliseconds, or a minute to compile."""
 
 
 def simulation(limit: float = 0.4) -> Simulation:
