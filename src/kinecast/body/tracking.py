@@ -7,15 +7,15 @@ With hindsight (`fill`) both sides of a flaw are known. In the window an online 
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8, UInt8
-from numba import njit
+from jaxtyping import Bool, Float, Int, Int8, UInt8
 
 from kinecast.errors import OptionError
+from kinecast.geometry.transforms import lengths
 
 # Measured by hiding known values of HA4M V001, LEGO Human2 and Vicon PickPlaceCloseHuman:
 # gaps follow a cubic whose end velocities are half chord, half slope over 0.1 s. As good as a straight
@@ -125,14 +125,56 @@ def find_flaws(
     flaws = np.zeros(positions.shape[:-1], dtype=np.int8)
     flaws[..., 1:, :][same & equal.any(axis=(-2, -1))] = REPEATED
     flaws[~np.isfinite(positions).all(axis=-1)] = MISSING
-    windows, shape = math.prod(positions.shape[:-3]), positions.shape[-3:]
-    _find_jumps(
-        np.ascontiguousarray(positions).reshape(windows, *shape),
-        np.ascontiguousarray(stamps).reshape(windows, shape[0]),
-        astuple(limits),
-        flaws.reshape(windows, *shape[:2]),
-    )
+    windows = flaws.reshape(math.prod(flaws.shape[:-2]), *flaws.shape[-2:])
+    tracks, times = positions.reshape(*windows.shape, 3), stamps.reshape(windows.shape[:2])
+    flawed = np.asarray(windows.any(axis=1))
+    jolts = _jolts(tracks, times, limits)
+    for w, j in np.argwhere(flawed | (jolts.sum(axis=1) > 1)):
+        sound = np.flatnonzero(windows[w, :, j] == NONE)
+        track, when = tracks[w, sound, j], times[w, sound]
+        found = _jolts(track[None, :, None], when[None], limits)[0, :, 0] if flawed[w, j] else jolts[w, :, j]
+        for first, back in _excursions(track, when, np.flatnonzero(found), limits.longest_jump):
+            away = windows[w, sound[first] : sound[back], j]
+            away[away != MISSING] = JUMP
     return flaws
+
+
+def _jolts(
+    positions: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits
+) -> Bool[np.ndarray, "W N J"]:
+    """Whether the step to each frame is too fast, or unlike the steps before and after it; all frames are sound."""
+    jolts = np.zeros(positions.shape[:-1], dtype=np.bool_)
+    if positions.shape[1] < 2:
+        return jolts
+    step, dt = np.diff(positions, axis=1), np.diff(stamps, axis=1)[..., None]
+    least = limits.min_jump + limits.max_acceleration * dt**2
+    unlike = np.full(step.shape[:-1], positions.shape[1] > 2)
+    with np.errstate(invalid="ignore"):  # NaN is missing, and unlike nothing
+        velocity = step / dt[..., None]
+        change = lengths(np.diff(velocity, axis=1))
+        unlike[:, 1:] &= change * dt[:, 1:] > least[:, 1:]
+        unlike[:, :-1] &= change * dt[:, :-1] > least[:, :-1]
+        jolts[:, 1:] = unlike | (lengths(step) > limits.min_jump + limits.max_speed * dt)
+    return jolts
+
+
+def _excursions(
+    track: Float[np.ndarray, "K 3"], stamps: Float[np.ndarray, " K"], jolts: Int[np.ndarray, " M"], longest: float
+) -> list[tuple[int, int]]:
+    """Frames (first, back) between which a joint was away: a jolt, and within a time [s] one that takes it back."""
+    found, after = [], 0
+    for m in jolts.tolist():
+        if m <= after:
+            continue
+        for k in jolts[(jolts > m) & (stamps[jolts] - stamps[m] <= longest)].tolist():
+            there, back = track[m] - track[m - 1], track[k] - track[k - 1]
+            rest = min(np.linalg.norm(there + back), np.linalg.norm(track[k] - track[m - 1]))
+            # It takes back the step, or ends near where it began, to half of the larger step.
+            if 2.0 * rest <= max(np.linalg.norm(there), np.linalg.norm(back)):
+                found.append((m, k))
+                after = k
+                break
+    return found
 
 
 def fill(
@@ -153,10 +195,16 @@ def fill(
         (N, J, 3) positions, where gaps too long or at an end hold NaN for missing values and jumps and what
         was recorded for repeats; and (N, J) True where a value was interpolated.
     """
-    filled = np.array(positions, order="C")
+    filled = positions.copy()
     touched = np.zeros(flaws.shape, dtype=np.bool_)
-    for j in range(flaws.shape[1]):
-        _fill(filled[:, j], stamps, flaws[:, j], max_gap, touched[:, j])
+    for j in np.flatnonzero(flaws.any(axis=0)):
+        sound = flaws[:, j] == NONE
+        filled[~sound & (flaws[:, j] != REPEATED), j] = np.nan
+        known = np.flatnonzero(sound)
+        for before, after in zip(known[:-1].tolist(), known[1:].tolist(), strict=True):
+            if after - before > 1 and stamps[after] - stamps[before + 1] <= max_gap + ROUNDING:
+                filled[before + 1 : after, j] = _bridge(filled[:, j], stamps, sound, before, after)
+                touched[before + 1 : after, j] = True
     return filled, touched
 
 
@@ -182,11 +230,39 @@ def repair_windows(
     positions: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits = LIMITS
 ) -> WindowRepair:
     """`repair_window` for many windows, each from nothing but itself."""
-    repaired = np.array(positions, order="C")
+    repaired = positions.copy()
     flaws = find_flaws(repaired, stamps, limits)
-    touched = np.zeros(flaws.shape, dtype=np.bool_)
-    _repair(repaired, np.ascontiguousarray(stamps), limits.max_speed, flaws, touched)
-    return WindowRepair(repaired, touched, _trouble(flaws))
+    with np.errstate(invalid="ignore"):
+        speed = lengths(np.diff(positions, axis=1)) / np.diff(stamps, axis=1)[..., None]
+    # Nothing is carried on faster than it moved: at half the greatest speed no value can be too far off its way.
+    suspicious = np.asarray(flaws.any(axis=1) | (speed > 0.5 * limits.max_speed).any(axis=1))
+    for w in np.flatnonzero(suspicious.any(axis=1)):
+        track, when, flaw = repaired[w], stamps[w], flaws[w]
+        for j in np.flatnonzero(suspicious[w]):
+            _find_newest_jump(track[:, j], when, flaw[:, j], limits.max_speed)
+        # Joints that suffer alike, as all do from a repeated frame, are repaired together.
+        patterns, which = np.unique(flaw == NONE, axis=1, return_inverse=True)
+        for k in range(patterns.shape[1]):
+            joints = np.flatnonzero(which == k)
+            track[:, joints] = _whole(track[:, joints], when, patterns[:, k])
+    return WindowRepair(repaired, (flaws != NONE) & (flaws == NONE).any(axis=1, keepdims=True), _trouble(flaws))
+
+
+def _whole(
+    track: Float[np.ndarray, "N K 3"], stamps: Float[np.ndarray, " N"], sound: Bool[np.ndarray, " N"]
+) -> Float[np.ndarray, "N K 3"]:
+    """Some joints of a window, sound in the same frames: bridged inside, carried on at the end, held at the start."""
+    known = np.flatnonzero(sound)
+    if len(known) in (0, len(sound)):
+        return track
+    flat = track.reshape(len(track), -1).copy()
+    for before, after in zip(known[:-1].tolist(), known[1:].tolist(), strict=True):
+        if after - before > 1:
+            flat[before + 1 : after] = _bridge(flat, stamps, sound, before, after)
+    first, last = int(known[0]), int(known[-1])
+    flat[:first] = flat[first]
+    flat[last + 1 :] = _carried_on(flat, stamps, sound, last, stamps[last + 1 :])
+    return flat.reshape(track.shape)
 
 
 def _trouble(flaws: Int8[np.ndarray, "W N J"]) -> UInt8[np.ndarray, "W J"]:
@@ -204,184 +280,58 @@ def _trouble(flaws: Int8[np.ndarray, "W N J"]) -> UInt8[np.ndarray, "W J"]:
     return trouble
 
 
-@njit(cache=True)
-@no_type_check
-def _apart(p: np.ndarray, a: int, b: int, c: int, e: int, scale: float) -> float:
-    """How far the step a → b is from `scale` times the step c → e [m]; from no step for c = e."""
-    total = 0.0
-    for d in range(3):
-        total += (p[b, d] - p[a, d] - scale * (p[e, d] - p[c, d])) ** 2
-    return math.sqrt(total)
+def _slope(
+    x: Float[np.ndarray, "N K"], stamps: Float[np.ndarray, " N"], sound: Bool[np.ndarray, " N"], i: int, way: int
+) -> Float[np.ndarray, " K"] | None:
+    """Slope [m/s] of the sound values within SLOPE_TIME of frame i, going back (way -1) or on; None of only one."""
+    end = np.searchsorted(stamps, stamps[i] + way * (SLOPE_TIME + ROUNDING))
+    near = slice(end, i + 1) if way < 0 else slice(i, end)
+    chosen = sound[near]
+    if np.count_nonzero(chosen) < 2:
+        return None
+    t, value = stamps[near][chosen] - stamps[i], x[near][chosen] - x[i]
+    n, t1 = len(t), t.sum()
+    return (n * (t @ value) - t1 * value.sum(axis=0)) / (n * (t @ t) - t1 * t1)
 
 
-@njit(cache=True)
-@no_type_check
-def _is_jolt(p: np.ndarray, stamps: np.ndarray, sound: np.ndarray, m: int, limits: tuple[float, ...]) -> bool:
-    """Whether the step to the m-th sound frame is too fast, or unlike the steps before and after it."""
-    max_speed, max_acceleration, min_jump, _ = limits
-    a, b = sound[m - 1], sound[m]
-    dt = stamps[b] - stamps[a]
-    if _apart(p, a, b, a, a, 1.0) > min_jump + max_speed * dt:
-        return True
-    least = min_jump + max_acceleration * dt * dt
-    for c in (m - 2, m):
-        if 0 <= c < len(sound) - 1:
-            before, after = sound[c], sound[c + 1]
-            if _apart(p, a, b, before, after, dt / (stamps[after] - stamps[before])) <= least:
-                return False
-    return len(sound) > 2
+def _carried_on(
+    x: Float[np.ndarray, "N K"],
+    stamps: Float[np.ndarray, " N"],
+    sound: Bool[np.ndarray, " N"],
+    a: int,
+    later: Float[np.ndarray, " L"],
+) -> Float[np.ndarray, "L K"]:
+    """Where coordinates are at later stamps if they go on from frame a at their slope, fading out."""
+    slope = _slope(x, stamps, sound, a, -1)
+    way = CARRY_ON * (1.0 - np.exp((stamps[a] - later) / CARRY_ON))
+    return x[a] + np.outer(way, np.zeros(x.shape[1]) if slope is None else slope)
 
 
-@njit(cache=True)
-@no_type_check
-def _returns(p: np.ndarray, a: int, b: int, c: int, e: int) -> bool:
-    """Whether the step c → e takes back the step a → b, or ends near a, to half of the larger step."""
-    rest = min(_apart(p, a, b, c, e, -1.0), _apart(p, a, e, a, a, 1.0))
-    return 2.0 * rest <= max(_apart(p, a, b, a, a, 1.0), _apart(p, c, e, c, c, 1.0))
-
-
-@njit(cache=True)
-@no_type_check
-def _sound(flaws: np.ndarray) -> np.ndarray:
-    """Frames (K,) without a flaw (N,), by a loop: it compiles faster than array expressions."""
-    frames, count = np.empty(len(flaws), dtype=np.int64), 0
-    for i in range(len(flaws)):
-        if flaws[i] == NONE:
-            frames[count] = i
-            count += 1
-    return frames[:count]
-
-
-@njit(cache=True)
-@no_type_check
-def _find_jumps(positions: np.ndarray, stamps: np.ndarray, limits: tuple[float, ...], flaws: np.ndarray) -> None:
-    windows, _, joints = flaws.shape
-    for w in range(windows):
-        for j in range(joints):
-            p, flaw = positions[w, :, j], flaws[w, :, j]
-            sound = _sound(flaw)
-            jolt = np.zeros(len(sound), dtype=np.bool_)
-            for m in range(1, len(sound)):
-                jolt[m] = _is_jolt(p, stamps[w], sound, m, limits)
-            m = 1
-            while m < len(sound):
-                k = m + 1 if jolt[m] else len(sound)
-                while k < len(sound) and stamps[w, sound[k]] - stamps[w, sound[m]] <= limits[3]:
-                    if jolt[k] and _returns(p, sound[m - 1], sound[m], sound[k - 1], sound[k]):
-                        for i in range(sound[m], sound[k]):
-                            if flaw[i] != MISSING:
-                                flaw[i] = JUMP
-                        m = k
-                        break
-                    k += 1
-                m += 1
-
-
-@njit(cache=True)
-@no_type_check
-def _slope(x: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, i: int, way: int) -> float:
-    """Slope [m/s] of the sound values within SLOPE_TIME of frame i, going back (way -1) or on; NaN of only one."""
-    n, t1, t2, x1, tx = 0, 0.0, 0.0, 0.0, 0.0
-    k = i
-    while 0 <= k < len(x) and abs(stamps[k] - stamps[i]) <= SLOPE_TIME + ROUNDING:
-        if flaws[k] == NONE:
-            t, value = stamps[k] - stamps[i], x[k] - x[i]
-            n += 1
-            t1 += t
-            t2 += t * t
-            x1 += value
-            tx += t * value
-        k += way
-    return (n * tx - t1 * x1) / (n * t2 - t1 * t1) if n > 1 else math.nan
-
-
-@njit(cache=True)
-@no_type_check
-def _carried_on(x: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, a: int, stamp: float) -> float:
-    """Where a coordinate is at a later stamp if it goes on from frame a at its slope, fading out."""
-    slope = _slope(x, stamps, flaws, a, -1)
-    return x[a] if math.isnan(slope) else x[a] + slope * CARRY_ON * (1.0 - math.exp((stamps[a] - stamp) / CARRY_ON))
-
-
-@njit(cache=True)
-@no_type_check
-def _bridge(x: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, a: int, b: int) -> None:
-    """A coordinate between the sound frames a and b: a cubic, end velocities half chord, half slope."""
+def _bridge(
+    x: Float[np.ndarray, "N K"], stamps: Float[np.ndarray, " N"], sound: Bool[np.ndarray, " N"], a: int, b: int
+) -> Float[np.ndarray, "L K"]:
+    """Coordinates between the sound frames a and b: a cubic, end velocities half chord, half slope."""
     whole, chord = stamps[b] - stamps[a], x[b] - x[a]
-    before, after = _slope(x, stamps, flaws, a, -1), _slope(x, stamps, flaws, b, 1)
-    bend_before = 0.0 if math.isnan(before) else SLOPE_SHARE * (before * whole - chord)
-    bend_after = 0.0 if math.isnan(after) else SLOPE_SHARE * (after * whole - chord)
-    for i in range(a + 1, b):
-        s = (stamps[i] - stamps[a]) / whole
-        x[i] = x[a] + chord * s + s * (1.0 - s) * (bend_before * (1.0 - s) - bend_after * s)
+    before, after = _slope(x, stamps, sound, a, -1), _slope(x, stamps, sound, b, 1)
+    bend_before = 0.0 if before is None else SLOPE_SHARE * (before * whole - chord)
+    bend_after = 0.0 if after is None else SLOPE_SHARE * (after * whole - chord)
+    s = ((stamps[a + 1 : b] - stamps[a]) / whole)[:, None]
+    return x[a] + chord * s + s * (1.0 - s) * (bend_before * (1.0 - s) - bend_after * s)
 
 
-@njit(cache=True)
-@no_type_check
-def _fill(p: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, max_gap: float, touched: np.ndarray) -> None:
-    """One joint (N, 3): gaps between sound frames are bridged; longer ones and those at an end become NaN."""
-    before = -1
-    for after in range(len(flaws) + 1):
-        if after < len(flaws) and flaws[after] != NONE:
-            continue
-        first = before + 1
-        if before >= 0 and first < after < len(flaws) and stamps[after] - stamps[first] <= max_gap + ROUNDING:
-            for d in range(3):
-                _bridge(p[:, d], stamps, flaws, before, after)
-            for k in range(first, after):
-                touched[k] = True
-        else:
-            for k in range(first, after):
-                if flaws[k] != REPEATED:
-                    p[k, 0] = p[k, 1] = p[k, 2] = math.nan
-        before = after
-
-
-@njit(cache=True)
-@no_type_check
-def _find_newest_jump(p: np.ndarray, stamps: np.ndarray, flaws: np.ndarray, max_speed: float) -> None:
-    """Flaw the newest values where all of them are off the way of those before, faster than max_speed."""
-    newest = len(stamps) - 1
-    a, earlier = -1, 0
-    for m in range(newest + 1):
-        if flaws[m] != NONE:
-            continue
-        if earlier >= 2 and stamps[newest] - stamps[m] <= TRUST_AFTER + ROUNDING:
-            away = True
-            for k in range(m, newest + 1):
-                if flaws[k] == NONE:
-                    off = 0.0
-                    for d in range(3):
-                        off += (p[k, d] - _carried_on(p[:, d], stamps, flaws, a, stamps[k])) ** 2
-                    away = away and math.sqrt(off) > max_speed * (stamps[m] - stamps[a])
-            if away:
-                for k in range(m, newest + 1):
-                    if flaws[k] != MISSING:
-                        flaws[k] = JUMP
-                return
-        a = m
-        earlier += 1
-
-
-@njit(cache=True)
-@no_type_check
-def _repair(
-    positions: np.ndarray, stamps: np.ndarray, max_speed: float, flaws: np.ndarray, touched: np.ndarray
+def _find_newest_jump(
+    x: Float[np.ndarray, "N 3"], stamps: Float[np.ndarray, " N"], flaws: Int8[np.ndarray, " N"], max_speed: float
 ) -> None:
-    windows, frames, joints = flaws.shape
-    for w in range(windows):
-        for j in range(joints):
-            p, times, flaw = positions[w, :, j], stamps[w], flaws[w, :, j]
-            _find_newest_jump(p, times, flaw, max_speed)
-            _fill(p, times, flaw, math.inf, touched[w, :, j])
-            sound = _sound(flaw)
-            if len(sound) == 0:
-                continue
-            first, last = sound[0], sound[-1]
-            for i in range(frames):
-                for d in range(3):
-                    if i < first:  # held back to the start
-                        p[i, d] = p[first, d]
-                    elif i > last:
-                        p[i, d] = _carried_on(p[:, d], times, flaw, last, times[i])
-                touched[w, i, j] |= i < first or i > last
+    """Flaws the newest values where all of them are off the way of those before, faster than max_speed."""
+    sound = flaws == NONE
+    known = np.flatnonzero(sound)
+    for place in range(2, len(known)):
+        a, m = int(known[place - 1]), int(known[place])
+        if stamps[-1] - stamps[m] > TRUST_AFTER + ROUNDING:
+            continue
+        newest = known[place:]
+        off = lengths(x[newest] - _carried_on(x, stamps, sound, a, stamps[newest]))
+        if (off > max_speed * (stamps[m] - stamps[a])).all():
+            rest = flaws[m:]
+            rest[rest != MISSING] = JUMP
+            return

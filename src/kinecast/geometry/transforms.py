@@ -117,3 +117,8 @@ def from_camera(points: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*sh
 def from_y_up(points: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
     """Axes with y up (x right, z towards the viewer) to the world's, z up: (x, y, z) → (x, −z, y)."""
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+
+
+def lengths(vectors: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b"]:
+    """Euclidean norms; quicker than NumPy's own for arrays so small."""
+    return np.sqrt(np.einsum("...d,...d->...", vectors, vectors))

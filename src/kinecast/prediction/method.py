@@ -159,30 +159,34 @@ def forecast_in_scene(
     return replace(forecast, samples=kept, mean=mean, accepted=accepted, distinct=len(survivors))
 
 
-@njit(cache=True)
-@no_type_check
 def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray, "T 6 3 3"]:
     """(T, 6, 3, 3) covariance of each joint's position at each step [m^2]."""
-    draws, steps, joints, _ = samples.shape
-    means = np.zeros((steps, joints, 3))
-    for s in range(draws):
-        means += samples[s]
-    means /= draws
-    covariances = np.zeros((steps, joints, 3, 3))
-    for s in range(draws):
-        for t in range(steps):
-            for j in range(joints):
-                x = samples[s, t, j, 0] - means[t, j, 0]
-                y = samples[s, t, j, 1] - means[t, j, 1]
-                z = samples[s, t, j, 2] - means[t, j, 2]
-                c = covariances[t, j]
-                c[0, 0] += x * x
-                c[0, 1] += x * y
-                c[0, 2] += x * z
-                c[1, 1] += y * y
-                c[1, 2] += y * z
-                c[2, 2] += z * z
-    covariances /= draws
-    covariances[..., 1, 0], covariances[..., 2, 0] = covariances[..., 0, 1], covariances[..., 0, 2]
-    covariances[..., 2, 1] = covariances[..., 1, 2]
-    return covariances
+    count, steps = samples.shape[:2]
+    covariances = np.empty((steps * 6, 3, 3))
+    _covariances(samples.reshape(count, -1), samples.mean(axis=0).ravel(), covariances.reshape(-1, 9))
+    return covariances.reshape(steps, 6, 3, 3)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _covariances(
+    samples: Float[np.ndarray, "S 3*K"], mean: Float[np.ndarray, " 3*K"], out: Float[np.ndarray, "K 9"]
+) -> None:
+    count = len(samples)
+    for k in range(len(out)):
+        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for s in range(count):
+            x, y, z = (
+                samples[s, 3 * k] - mean[3 * k],
+                samples[s, 3 * k + 1] - mean[3 * k + 1],
+                samples[s, 3 * k + 2] - mean[3 * k + 2],
+            )
+            xx += x * x
+            xy += x * y
+            xz += x * z
+            yy += y * y
+            yz += y * z
+            zz += z * z
+        out[k, 0], out[k, 4], out[k, 8] = xx / count, yy / count, zz / count
+        out[k, 1], out[k, 2], out[k, 5] = xy / count, xz / count, yz / count
+        out[k, 3], out[k, 6], out[k, 7] = out[k, 1], out[k, 2], out[k, 5]

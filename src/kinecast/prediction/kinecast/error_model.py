@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
+from kinecast.geometry.transforms import lengths
 from kinecast.prediction.kinecast.experts import TRIVIAL
-from kinecast.prediction.kinecast.features import MIRROR, WindowMotion, lengths
+from kinecast.prediction.kinecast.features import MIRROR, WindowMotion
 from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs
 
 __all__ = ["LEVEL", "SCALES", "SIDES", "AdaptiveScale", "ErrorModel", "error_features", "fit_error_model"]
@@ -119,7 +120,7 @@ class ErrorModel:
     def factor_in(
         self, scale: Float[np.ndarray, "T 6"], rotation: Float[np.ndarray, "3 3"]
     ) -> Float[np.ndarray, "T 6 3 R"]:
-        """(T, 6, 3, R) factor of the error's covariance [m], in the frame to which `rotation` takes the person's axes."""
+        """(T, 6, 3, R) factor of the error's covariance [m], where `rotation` takes the person's axes."""
         return (scale[..., None, None] * (rotation @ self._axes)) @ self.factor
 
     def whitened(

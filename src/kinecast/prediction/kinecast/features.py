@@ -14,7 +14,9 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["ArmViews", "FeatureScale", "WindowMotion", "arm_views", "lengths", "time_basis", "yaw_frame"]
+from kinecast.geometry.transforms import lengths
+
+__all__ = ["ArmViews", "FeatureScale", "WindowMotion", "arm_views", "time_basis", "yaw_frame"]
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 LEAST_STEP = 0.004
@@ -126,11 +128,6 @@ class WindowMotion:
             math.sqrt(mean.sum() / 6.0 + 1e-6),
             math.sqrt(3.0 * float(jerk @ jerk) / len(jerk) + 1e-8),
         )
-
-
-def lengths(vectors: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b"]:
-    """Euclidean norms; quicker than NumPy's own for arrays so small."""
-    return np.sqrt(np.einsum("...d,...d->...", vectors, vectors))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
-from kinecast.prediction.kinecast.features import lengths
+from kinecast.geometry.transforms import lengths
 
 __all__ = ["RollingForecastErrors"]
 

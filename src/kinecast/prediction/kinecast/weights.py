@@ -14,8 +14,9 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.geometry.transforms import lengths
 from kinecast.prediction.kinecast.experts import TRIVIAL
-from kinecast.prediction.kinecast.features import WindowMotion, lengths
+from kinecast.prediction.kinecast.features import WindowMotion
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 
 __all__ = ["JOINT_TYPE", "Gate", "GateInputs", "fallback_weights", "fit_gate", "gate_inputs", "rolling_errors"]
