@@ -47,6 +47,7 @@ class Track:
     arms: deque[Float[np.ndarray, "6 3"]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     source: UpSource | None = None
     lean: float = 0.0
+    up: Float[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     std: Float[np.ndarray, "6"] | None = None
     state: Any = None
     state_stamp: float = -np.inf
@@ -90,6 +91,7 @@ class Track:
         torso = torso_frame(frame.joints, frame.positions, self.source, self.lean)
         if np.isfinite(torso.lean):
             self.lean = float(torso.lean)
+            self.up = torso.T_world_torso[:3, 2]
 
     def last_seen(self) -> tuple[Float[np.ndarray, "6 3"], Float[np.ndarray, "6"]]:
         """(6, 3) where each joint was last seen [m], NaN for never, and (6,) how long before the newest frame [s]."""
@@ -116,10 +118,8 @@ class Track:
             return None, Status.OCCLUDED
         grid = stamps[-1] - self.dt * np.arange(self.frames - 1, -1, -1)
         positions = _interpolate(repair.positions, stamps[first:], grid)
-        upright = torso_frame(ARM_JOINTS, positions[-1], UpSource.WORLD).T_world_torso
-        up = np.cos(self.lean) * upright[:3, 2] + np.sin(self.lean) * upright[:3, 0]
         excess = np.zeros(6) if self.std is None else np.sqrt(np.maximum(self.std**2 - noise**2, 0.0))
-        observation = Observation(positions, up, self.dt, float(stamps[-1]), excess)
+        observation = Observation(positions, self.up, self.dt, float(stamps[-1]), excess)
         return observation, self._status(positions[-1], trouble, float(np.diff(stamps[first:]).max()))
 
     def _status(self, last: Float[np.ndarray, "6 3"], trouble: Trouble, longest: float) -> Status:

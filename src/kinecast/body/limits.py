@@ -164,7 +164,9 @@ def bounds(lower: float, upper: float, speed: float, previous: float, dt: float)
     if math.isnan(previous):
         return lower, upper
     least, most = previous - speed * dt, previous + speed * dt
-    return min(max(lower, least), most), max(min(upper, most), least)
+    lower = least if lower < least else most if lower > most else lower
+    upper = least if upper < least else most if upper > most else upper
+    return lower, upper
 
 
 @njit(cache=True)

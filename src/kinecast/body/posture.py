@@ -113,7 +113,7 @@ def _turned(angle: float, previous: float, usual: tuple[float, float], weight: f
     turned = nearest_turn(angle, previous)
     if weight > 0.0 and math.fabs(turned - middle) > FAR:
         turned = nearest_turn(angle, middle)
-    beyond = max(usual[0] - turned, turned - usual[1], 0.0)
+    beyond = usual[0] - turned if turned < usual[0] else turned - usual[1] if turned > usual[1] else 0.0
     return turned, weight * beyond * beyond
 
 
@@ -287,7 +287,8 @@ def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
 def _posture_series(points: np.ndarray, previous: np.ndarray, continuous: bool, weight: float, out: np.ndarray) -> None:
     last = np.empty(18)
     for series in range(points.shape[0]):
-        last[:] = previous[series]
+        for i in range(18):
+            last[i] = previous[series, i]
         for step in range(points.shape[1]):
             posture_of_points(points[series, step], last, weight, out[series, step])
             if continuous:

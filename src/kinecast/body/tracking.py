@@ -231,10 +231,37 @@ def repair_windows(
 ) -> WindowRepair:
     """`repair_window` for many windows, each from nothing but itself."""
     repaired = positions.copy()
+    touched = np.zeros(positions.shape[:-1], dtype=np.bool_)
+    trouble = np.zeros((len(positions), positions.shape[2]), dtype=np.uint8)
+    suspects = np.flatnonzero(~_calm(positions, stamps, limits))
+    if len(suspects):
+        some = _repaired(repaired[suspects], stamps[suspects], limits)
+        repaired[suspects], touched[suspects], trouble[suspects] = some
+    return WindowRepair(repaired, touched, trouble)
+
+
+def _calm(
+    positions: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits
+) -> Bool[np.ndarray, " W"]:
+    """Windows that cannot have a flaw, as most: nothing is missing or repeated, nothing moves fast enough.
+
+    No step differs from another by more than twice the greatest speed, and nothing is carried on faster than it moved.
+    """
+    step, dt = positions[:, 1:] - positions[:, :-1], (stamps[:, 1:] - stamps[:, :-1])[..., None]
+    fastest = np.minimum(limits.max_speed * dt, limits.min_jump + limits.max_acceleration * dt**2)
+    with np.errstate(invalid="ignore"):
+        slow = (lengths(step) <= 0.5 * fastest).all(axis=(1, 2))
+    known = np.isfinite(positions[:, :1]).all(axis=(1, 2, 3))  # the others are, where steps are
+    return np.asarray(slow & known & step.any(axis=(2, 3)).all(axis=1))
+
+
+def _repaired(
+    repaired: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits
+) -> WindowRepair:
+    """Windows looked at one by one."""
     flaws = find_flaws(repaired, stamps, limits)
     with np.errstate(invalid="ignore"):
-        speed = lengths(np.diff(positions, axis=1)) / np.diff(stamps, axis=1)[..., None]
-    # Nothing is carried on faster than it moved: at half the greatest speed no value can be too far off its way.
+        speed = lengths(np.diff(repaired, axis=1)) / np.diff(stamps, axis=1)[..., None]
     suspicious = np.asarray(flaws.any(axis=1) | (speed > 0.5 * limits.max_speed).any(axis=1))
     for w in np.flatnonzero(suspicious.any(axis=1)):
         track, when, flaw = repaired[w], stamps[w], flaws[w]

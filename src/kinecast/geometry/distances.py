@@ -58,7 +58,7 @@ def _height(row: np.ndarray, p: Point) -> float:
 @no_type_check
 def _excess(x: float, half: float) -> float:
     """How far a coordinate lies beyond ± half, with its sign; 0 between."""
-    return x - min(max(x, -half), half)
+    return x + half if x < -half else x - half if x > half else 0.0
 
 
 @njit(cache=True)
@@ -148,22 +148,36 @@ def _nearest(
     rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
 ) -> None:
     """`half` (T, O, 3) are half widths of upright boxes around the obstacles: most limbs lie beyond them."""
-    for s in range(len(out)):
-        for t in range(out.shape[1]):
+    for t in range(out.shape[1]):
+        for s in range(len(out)):
             for k in range(len(limbs)):
-                p, q = points[s, t, limbs[k, 0]], points[s, t, limbs[k, 1]]
-                ax, ay, az, bx, by, bz = p[0], p[1], p[2], q[0], q[1], q[2]
-                nearest = math.nan if math.isnan(ax + ay + az + bx + by + bz) else most
-                mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
-                ex, ey, ez = 0.5 * abs(ax - bx), 0.5 * abs(ay - by), 0.5 * abs(az - bz)
-                for o in range(rows.shape[1]):
-                    if (
-                        abs(mx - rows[t, o, 1]) - ex < half[t, o, 0] + nearest
-                        and abs(my - rows[t, o, 2]) - ey < half[t, o, 1] + nearest
-                        and abs(mz - rows[t, o, 3]) - ez < half[t, o, 2] + nearest
-                    ):
-                        nearest = min(nearest, segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz)))
-                out[s, t, k] = nearest
+                i, j, known = limbs[k, 0], limbs[k, 1], 0.0
+                for axis in range(3):
+                    known += points[s, t, i, axis] + points[s, t, j, axis]
+                out[s, t, k] = math.nan if math.isnan(known) else most
+        for o in range(rows.shape[1]):
+            row = rows[t, o]
+            flat, cx, cy, cz, nx, ny, nz = row[0] == HALF_SPACE, row[1], row[2], row[3], row[4], row[5], row[6]
+            hx, hy, hz = half[t, o, 0], half[t, o, 1], half[t, o, 2]
+            for s in range(len(out)):
+                for k in range(len(limbs)):
+                    i, j, nearest = limbs[k, 0], limbs[k, 1], out[s, t, k]
+                    ax, ay, az = points[s, t, i, 0] - cx, points[s, t, i, 1] - cy, points[s, t, i, 2] - cz
+                    bx, by, bz = points[s, t, j, 0] - cx, points[s, t, j, 1] - cy, points[s, t, j, 2] - cz
+                    if flat:
+                        a, b = nx * ax + ny * ay + nz * az, nx * bx + ny * by + nz * bz
+                        distance = a if a < b else b
+                    else:
+                        x, y, z = hx + nearest, hy + nearest, hz + nearest
+                        if (
+                            (ax > x and bx > x) or (ax < -x and bx < -x)
+                            or (ay > y and by > y) or (ay < -y and by < -y)
+                            or (az > z and bz > z) or (az < -z and bz < -z)
+                        ):  # fmt: skip
+                            continue
+                        distance = segment_distance(row, (ax + cx, ay + cy, az + cz), (bx + cx, by + cy, bz + cz))
+                    if distance < nearest:
+                        out[s, t, k] = distance
 
 
 def limb_distances(

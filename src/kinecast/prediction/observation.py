@@ -17,6 +17,7 @@ from kinecast.body.posture import postures_from_points
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.regions import Regions
 from kinecast.geometry.scene import Scene
+from kinecast.geometry.transforms import lengths
 
 __all__ = ["Observation", "TrainingWindows", "reference_frame"]
 
@@ -37,10 +38,13 @@ def reference_frame(
     """
     left, right = points[..., LEFT_SHOULDER, :], points[..., RIGHT_SHOULDER, :]
     y = left - right
-    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    y = y / lengths(y)[..., None]
     z = up - (up * y).sum(axis=-1, keepdims=True) * y
-    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
-    return np.stack([np.cross(y, z), y, z], axis=-1), 0.5 * (left + right)
+    z = z / lengths(z)[..., None]
+    rotation = np.empty((*y.shape, 3))
+    rotation[..., 1], rotation[..., 2] = y, z
+    rotation[..., 0] = y[..., [1, 2, 0]] * z[..., [2, 0, 1]] - y[..., [2, 0, 1]] * z[..., [1, 2, 0]]
+    return rotation, 0.5 * (left + right)
 
 
 @dataclass(frozen=True)

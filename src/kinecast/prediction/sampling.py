@@ -71,7 +71,7 @@ def sample_motions(
         _hold_within_bounds(
             poses,
             angles,
-            rng.random((steps, samples, 8), dtype=np.float32),
+            rng.random((steps, blocks * BLOCK, 8), dtype=np.float32),
             observation.posture[which],
             observation.posture[list(LENGTHS[1:])],
             centre[:, which],
@@ -185,7 +185,7 @@ def _hold_within_bounds(
                         value = angle[k * BLOCK + c]
                         near = math.fabs(value - before[k * BLOCK + c]) <= far
                         held[c] &= near & (low <= value) & (value <= high)
-                for c in range(min(BLOCK, uniforms.shape[1] - b * BLOCK)):
+                for c in range(BLOCK):
                     i1, i2, i3, i4 = a * BLOCK + c, (a + 1) * BLOCK + c, (a + 2) * BLOCK + c, (a + 3) * BLOCK + c
                     if not held[c]:
                         _turn_to(angle, before, i1, i2, i3, i4)
@@ -198,7 +198,7 @@ def _hold_within_bounds(
                             i, far = k * BLOCK + c, reach[k]
                             if wrist_reach != np.inf:
                                 lever = _lever(before[i2], before[i3], before[i4], upper_arm, forearm, k - a)
-                                far = min(far, wrist_reach / lever)
+                                far = wrist_reach / lever if far * lever > wrist_reach else far
                             lb, ub = bounds(lower[k], upper[k], far, before[i], 1.0)
                             if not lb <= angle[i] <= ub:
                                 about = centre[t, k] if k == a + 3 else nearest_turn(centre[t, k], before[i])

@@ -39,6 +39,15 @@ MAX_ITERATIONS = 20
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
+def _nearest(x: float, lower: float, upper: float) -> float:
+    """The point of [lower, upper] nearest to x; NaN where x is."""
+    if x < lower:
+        return lower
+    return upper if x > upper else x
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
 def mills_ratio(c: float) -> float:
     """M(c) = Φ(−c) / φ(c) for c ≥ 0, relative error below 2e-14.
 
@@ -66,7 +75,7 @@ def log_survival(c: float, t: float) -> float:
     if t >= SHORT_STEP:
         return math.log(mills_ratio(c + t) / mills) - t * (c + 0.5 * t)
     hazard = 1.0 / mills
-    slope = min(max(hazard * (hazard - c), 0.5), 1.0)  # of the hazard; its range, where c drowns hazard − c
+    slope = _nearest(hazard * (hazard - c), 0.5, 1.0)  # of the hazard; its range, where c drowns hazard − c
     bend = (hazard - c) * slope + hazard * (slope - 1.0) if c < 1e3 else 0.0
     return -t * (hazard + t * (slope / 2.0 + t * bend / 6.0))
 
@@ -87,7 +96,7 @@ def tail_offset(c: float, loss: float) -> float:
     if loss == math.inf:
         return math.inf
     hazard = 1.0 / mills_ratio(c)
-    slope = min(max(hazard * (hazard - c), 0.5), 1.0)
+    slope = _nearest(hazard * (hazard - c), 0.5, 1.0)
     t = 2.0 * loss / (hazard + math.sqrt(hazard * hazard + 2.0 * slope * loss))
     for _ in range(MAX_ITERATIONS):
         mills = mills_ratio(c + t)
@@ -97,15 +106,6 @@ def tail_offset(c: float, loss: float) -> float:
         if not abs(step) > 1e-4 * t:  # the next step is less than the cube of this one
             break
     return t
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _nearest(x: float, lower: float, upper: float) -> float:
-    """The point of [lower, upper] nearest to x; NaN where x is."""
-    if x < lower:
-        return lower
-    return upper if x > upper else x
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,7 +123,7 @@ def _log_weight(mean: float, sd: float, lower: float, upper: float) -> float:
     if lower < mean < upper:
         span = math.erf((upper - mean) / sd * SQRT_HALF) - math.erf((lower - mean) / sd * SQRT_HALF)
         return math.log(sd) + math.log(SQRT_HALF_PI * span)
-    c = max(lower - mean, mean - upper) / sd
+    c = (lower - mean if lower >= mean else mean - upper) / sd
     inside = -math.expm1(log_survival(c, (upper - lower) / sd))
     return math.log(sd) + math.log(mills_ratio(c)) + math.log(inside)
 

@@ -48,11 +48,11 @@ class RollingForecastErrors:
         if not np.isfinite(pose).all():
             return
         rows = (self._newest + 1 - self._lead) % len(self._past)
-        due = np.flatnonzero(self._known[rows])
-        if len(due):
-            error = lengths(self._past[rows[due], due] - pose)
-            self._sum[due] = self._sum[due] * self._decay + error[..., None]
-            self._weight[due] = self._weight[due] * self._decay + 1.0
+        for k, row in enumerate(rows.tolist()):
+            if self._known[row]:
+                self._sum[k] *= self._decay
+                self._sum[k] += lengths(self._past[row, k] - pose)[..., None]
+                self._weight[k] = self._weight[k] * self._decay + 1.0
 
     def predicted(self, forecasts: Float[np.ndarray, "E T 6 3"] | None) -> None:
         """Keeps what is predicted from this frame on; None where nothing could be."""
