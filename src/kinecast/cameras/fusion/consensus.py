@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from kinecast.cameras.fusion.bone_prior import ANCHOR_STD, anchors, share_too_far
-from kinecast.cameras.fusion.kalman import JointStates
+from kinecast.cameras.fusion.kalman import JointStates, back
 from kinecast.cameras.fusion.measurement import Measurement
 
 PIXEL_LIMIT, DEPTH_LIMIT = 16.0, 12.0
@@ -44,7 +44,7 @@ class Consensus:
         self._images = images
         self._known = known = states.known
         self._here = np.where(known[:, None], states.mean[:, 0], 0.0)
-        then = np.stack([states.at(stamp)[0] for stamp in images.stamp])
+        then = np.einsum("va,jax->vjx", back(states.stamp - images.stamp), states.mean)
         moved = np.where(known[:, None], then - states.mean[:, 0], 0.0)  # (V, J, 3) from now to each image
         self._values = images.values - np.einsum("vjrx,vjx->vjr", images.rows, moved)  # as if taken now
         speed = np.where(known, np.trace(states.covariance[:, 3:6, 3:6], axis1=1, axis2=2) / 3, 1.0)

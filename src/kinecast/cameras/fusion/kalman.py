@@ -95,8 +95,8 @@ class JointStates:
     def at(self, stamp: float) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
         """(J, 3) positions at an earlier instant [s], and (J, 3, 3) their covariance [m²]."""
         b = back(self.stamp - stamp)
-        covariance = self.covariance.reshape(-1, 3, 3, 3, 3)
-        return np.einsum("a,jax->jx", b, self.mean), self.standing + np.einsum("a,jaxby,b->jxy", b, covariance, b)
+        B = np.kron(b, np.eye(3))
+        return b @ self.mean, self.standing + B @ self.covariance @ B.T
 
     def correct(
         self,
@@ -115,7 +115,8 @@ class JointStates:
         if not told.any():
             return
         b = back(self.stamp - stamps)
-        more = np.einsum("va,vb,vjxy->jaxby", b, b, information[:, told]).reshape(-1, 9, 9)
+        B = np.kron(b[:, None], np.eye(3))[:, None]  # (V, 1, 3, 9)
+        more = (np.swapaxes(B, -1, -2) @ information[:, told] @ B).sum(axis=0)
         covariance = np.linalg.inv(np.linalg.inv(self.covariance[told]) + more)
         step = covariance @ np.einsum("va,vjx->jax", b, surprise[:, told]).reshape(-1, 9, 1)
         self.mean[told] += step.reshape(-1, 3, 3)
