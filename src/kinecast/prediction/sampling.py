@@ -7,6 +7,9 @@ compiled loop then goes through the steps, and takes by itself only the poses th
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import no_type_check
 
 import numpy as np
@@ -57,21 +60,12 @@ def sample_motions(
     for b in range(blocks):
         part = draws[:, b * BLOCK : (b + 1) * BLOCK]
         drawn[b, :, : part.shape[1]] = part
-    poses = factor.reshape(steps, 1, 18, -1) @ drawn
-    poses += mean.reshape(steps, 1, 18, 1)
-    poses = poses.reshape(steps, blocks, 18 * BLOCK)
     if limits is not None:
-        angles, adjacent = np.empty((2, steps, blocks, 8 * BLOCK))
-        _arm_triangles(poses, angles, adjacent)
-        np.arctan2(angles, adjacent, out=angles)
         which = list(ANGLES)
         centre = postures_from_points(mean, observation.posture, continuous=True, usual=False)
         spread = _angle_spread(centre, np.sqrt(np.einsum("tjdr,tjdr->tj", factor, factor) / 3.0))
         lower, upper, speed = (values[which] for values in limits.of_posture())
-        _hold_within_bounds(
-            poses,
-            angles,
-            rng.random((steps, blocks * BLOCK, 8), dtype=np.float32),
+        bounds_of_all = (
             observation.posture[which],
             observation.posture[list(LENGTHS[1:])],
             centre[:, which],
@@ -81,9 +75,35 @@ def sample_motions(
             speed * observation.dt,
             np.inf if limits.wrist_speed is None else limits.wrist_speed * observation.dt,
         )
+        uniforms = rng.random((steps, blocks * BLOCK, 8), dtype=np.float32)
     motions = np.empty((samples, steps, 6, 3))
-    _to_world(poses, *observation.frame, motions)
+
+    def some(first: int, last: int) -> None:
+        """Fills in the motions of some blocks."""
+        rows = slice(first * BLOCK, last * BLOCK)
+        poses = factor.reshape(steps, 1, 18, -1) @ drawn[first:last]
+        poses += mean.reshape(steps, 1, 18, 1)
+        poses = poses.reshape(steps, last - first, 18 * BLOCK)
+        if limits is not None:
+            angles, adjacent = np.empty((2, steps, last - first, 8 * BLOCK))
+            _arm_triangles(poses, angles, adjacent)
+            np.arctan2(angles, adjacent, out=angles)
+            _hold_within_bounds(poses, angles, uniforms[:, rows], *bounds_of_all)
+        _to_world(poses, *observation.frame, motions[rows])
+
+    if blocks == 1:
+        some(0, 1)
+    else:
+        half = _helper(os.getpid()).submit(some, 0, blocks // 2)
+        some(blocks // 2, blocks)
+        half.result()
     return motions
+
+
+@cache
+def _helper(_process: int) -> ThreadPoolExecutor:
+    """A second thread: products, arctangents and compiled loops all let go of the interpreter."""
+    return ThreadPoolExecutor(1, thread_name_prefix="sampling")
 
 
 def _angle_spread(centre: Float[np.ndarray, "T 18"], spread: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "T 8"]:
