@@ -17,7 +17,7 @@ from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
 from kinecast.cli.options import SceneFile, check_seed
-from kinecast.cli.progress import CONSOLE
+from kinecast.cli.progress import CONSOLE, compiling
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
@@ -79,7 +79,8 @@ def live(
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
-    first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
+    with compiling():
+        first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
     mailbox = Mailbox()
     opened_sources: list[Source] = []
     opened_sinks: list[Sink] = []

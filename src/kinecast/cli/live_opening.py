@@ -98,9 +98,9 @@ def read_source(text: str) -> Endpoint:
     if source.kind == "xsens":
         XsensOptions.parse(source.settings, text)
     elif source.kind in _ROS:
-        from kinecast.cli.live_ros import incoming  # here, since ROS is an extra
+        from kinecast.cli.live_ros import subscriber  # here, since ROS is an extra
 
-        incoming(source)
+        subscriber(source)
     return source
 
 
@@ -114,9 +114,9 @@ def read_sink(text: str) -> Endpoint:
             raise OptionError(wrong)
         check_file(sink.path, (f".{sink.kind}",), "--sink")
     elif sink.kind in (*_ROS, "bag"):
-        from kinecast.cli.live_ros import outgoing
+        from kinecast.cli.live_ros import publisher
 
-        outgoing(sink)
+        publisher(sink)
     return sink
 
 
