@@ -16,7 +16,7 @@ from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
-from kinecast.cli.options import SceneFile, check_seed
+from kinecast.cli.options import ModelFile, OptionalFile, check_seed
 from kinecast.cli.progress import CONSOLE, compiling
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.errors import OptionError
@@ -39,8 +39,8 @@ RigFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(defaul
 def live(
     sources: Sources,
     sinks: Sinks,
-    model: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")] = None,
-    scene: SceneFile = None,
+    model: ModelFile = None,
+    scene: OptionalFile = None,
     rig: RigFile = None,
     samples: int = 1000,
     level: float = 0.95,

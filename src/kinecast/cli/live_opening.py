@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinecast.cli.output_paths import check_file
+from kinecast.cli.options import check_file
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.live.detection import DetectionHandler

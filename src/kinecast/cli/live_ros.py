@@ -45,7 +45,9 @@ def publisher(sink: Endpoint) -> PredictionPublisher:
     parts = whole_number(settings, "parts", SceneOptions.parts, sink.text)
     scene = SceneOptions(parts, number(settings, "thickness", SceneOptions.thickness, sink.text))
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS
-    return PredictionPublisher(OutputOptions(namespace or "/kinecast", outputs, settings.get("planning_scene", ""), scene))
+    return PredictionPublisher(
+        OutputOptions(namespace or "/kinecast", outputs, settings.get("planning_scene", ""), scene)
+    )
 
 
 def open_source(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:

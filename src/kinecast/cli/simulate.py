@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from rich.table import Table
+from rich.text import Text
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.options import Switch, check_seed
-from kinecast.cli.output_paths import check_folder
-from kinecast.cli.progress import compiling
+from kinecast.cli.options import Switch, check_folder, check_seed
+from kinecast.cli.progress import compiling, plain
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
@@ -61,9 +62,6 @@ def simulate(
     """Simulates a UR5 that picks and places a red, a green and a blue cube at a table shared with a person.
 
     Args:
-        scenario: what the person does.
-        person: who comes.
-        predictor: what predicts the person.
         seed: of the person and the camera; the same seed gives the same episode.
         samples: motions drawn per prediction.
         view: shows the cell in the browser until Ctrl-C; writes files only with --out.
@@ -186,25 +184,12 @@ def write(out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: 
 
 def closing_table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:
     """The figures of every scenario."""
-    head = ("", "result", "contacts", "least [m]", "done [s]", "stops", "replans", "p50 [ms]", "p99 [ms]")
-    rows = [
-        (
-            name,
-            outcome.result,
-            str(outcome.contacts),
-            f"{outcome.least_distance:.2f}" if np.isfinite(outcome.least_distance) else "–",
-            f"{outcome.time_to_done:.1f}",
-            str(outcome.stops),
-            str(outcome.replans),
-            f"{outcome.latency_p50:.1f}",
-            f"{outcome.latency_p99:.1f}",
-        )
-        for name, (_, outcome) in episodes.items()
-    ]
-    widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
-    lines = [
-        "  ".join(cell.ljust(width) if column < 2 else cell.rjust(width)
-                  for column, (cell, width) in enumerate(zip(row, widths, strict=True)))
-        for row in (head, *rows)
-    ]  # fmt: skip
-    return "\n".join(line.rstrip() for line in lines)
+    table = Table("", "result", box=None, pad_edge=False)
+    for title in ("contacts", "least [m]", "done [s]", "stops", "replans", "p50 [ms]", "p99 [ms]"):
+        table.add_column(Text(title), justify="right")
+    for name, (_, outcome) in episodes.items():
+        least = f"{outcome.least_distance:.2f}" if np.isfinite(outcome.least_distance) else "–"
+        counts = (outcome.contacts, least, f"{outcome.time_to_done:.1f}", outcome.stops, outcome.replans)
+        latencies = (f"{outcome.latency_p50:.1f}", f"{outcome.latency_p99:.1f}")
+        table.add_row(name, outcome.result, *map(str, counts), *latencies)
+    return plain(table)
