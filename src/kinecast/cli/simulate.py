@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from kineconfig.cli.options import Switch, check_folder, check_seed
-from kineconfig.cli.progress import compiling, plain
-from kineconfig.cli.recordings import read_recordings
-from kineconfig.errors import OptionError
 from rich.table import Table
 from rich.text import Text
 from tyro.conf import arg
 
 from kinecast import __version__
+from kinecast.cli.options import Switch, check_folder, check_seed
+from kinecast.cli.progress import compiling, plain
+from kinecast.cli.recordings import read_recordings
+from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
-    from kineconfig.robot.episode import Episode
-    from kineconfig.robot.outcome import Outcome
-    from kineconfig.robot.person import PlayedPerson
-    from kineconfig.types import Decision
+    from kinecast.robot.episode import Episode
+    from kinecast.robot.outcome import Outcome
+    from kinecast.robot.person import PlayedPerson
+    from kinecast.types import Decision
 
 SYNTHETIC = "synthetic"
 OUT = Path("kinecast-simulate")
@@ -69,13 +69,13 @@ def simulate(
         port: of the view; 0 is any that is free.
         out: folder for episode.json, storyboard.png, and a GIF and a timeline of each scenario.
     """
-    from kineconfig.robot.collaboration import SCENARIOS  # here, since robot and drawing are extras
+    from kinecast.robot.collaboration import SCENARIOS  # here, since robot and drawing are extras
 
     check_seed(seed)
     check_scenario(scenario)
     config = SimulationConfig(person, seed, samples)
     if view:
-        from kineconfig.cli.view import serve  # here, since the view is an extra
+        from kinecast.cli.view import serve  # here, since the view is an extra
 
         if out is not None:
             check_folder(out)
@@ -111,8 +111,8 @@ class SimulationConfig:
         Raises:
             DatasetError: the recording cannot be read.
         """
-        from kineconfig.robot.cell import Cell
-        from kineconfig.robot.collaboration import replayed_person
+        from kinecast.robot.cell import Cell
+        from kinecast.robot.collaboration import replayed_person
 
         if self.person == SYNTHETIC:
             return None
@@ -133,7 +133,7 @@ class SimulationConfig:
 
 def check_scenario(name: str) -> None:
     """Raises OptionError for a scenario that there is not."""
-    from kineconfig.robot.collaboration import SCENARIOS
+    from kinecast.robot.collaboration import SCENARIOS
 
     if name not in (*SCENARIOS, "all"):
         raise OptionError(f"--scenario {name}: allowed are {', '.join(SCENARIOS)}, all")
@@ -141,8 +141,8 @@ def check_scenario(name: str) -> None:
 
 def play(names: tuple[str, ...], predictor: str, config: SimulationConfig) -> dict[str, tuple[Episode, Outcome]]:
     """Runs scenarios, and prints the decisions as they fall."""
-    from kineconfig.robot.collaboration import SCENARIOS, Forecasters, simulate_scenario
-    from kineconfig.robot.outcome import outcome_of
+    from kinecast.robot.collaboration import SCENARIOS, Forecasters, simulate_scenario
+    from kinecast.robot.outcome import outcome_of
 
     player, forecasters, episodes = config.player(), Forecasters(config.samples), {}
     for name in names:
@@ -165,12 +165,12 @@ def sentence(decision: Decision) -> str:
 
 def write(out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: Mapping[str, object]) -> None:
     """Writes the decisions and the pictures."""
-    from kineconfig.robot.cell import Cell
-    from kineconfig.robot.collaboration import SCENARIOS
-    from kineconfig.robot.episode_file import write_episode
-    from kineconfig.robot.storyboard import Row, animate_episode, draw_storyboard
-    from kineconfig.robot.timeline import draw_timeline
-    from kineconfig.robot.ur5 import UR5
+    from kinecast.robot.cell import Cell
+    from kinecast.robot.collaboration import SCENARIOS
+    from kinecast.robot.episode_file import write_episode
+    from kinecast.robot.storyboard import Row, animate_episode, draw_storyboard
+    from kinecast.robot.timeline import draw_timeline
+    from kinecast.robot.ur5 import UR5
 
     arm, cell = UR5(), Cell()
     out.mkdir(parents=True, exist_ok=True)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kineconfig.cli.progress import compiling
-from kineconfig.cli.simulate import SimulationConfig, closing_table, sentence, write
-from kineconfig.errors import OptionError
-from kineconfig.robot.cell import Cell
-from kineconfig.robot.collaboration import PREDICTORS, SCENARIOS, Forecasters, simulate_scenario
-from kineconfig.robot.occupancy import OccupancyOptions
-from kineconfig.robot.outcome import outcome_of
-from kineconfig.robot.simulation import Simulation
-from kineconfig.robot.supervisor import SupervisorOptions
-from kineconfig.types import Decision
-from kineconfig.view.runs import Setting
-from kineconfig.view.server import check_address
-from kineconfig.view.viewer import Viewer
+from kinecast.cli.progress import compiling
+from kinecast.cli.simulate import SimulationConfig, closing_table, sentence, write
+from kinecast.errors import OptionError
+from kinecast.robot.cell import Cell
+from kinecast.robot.collaboration import PREDICTORS, SCENARIOS, Forecasters, simulate_scenario
+from kinecast.robot.occupancy import OccupancyOptions
+from kinecast.robot.outcome import outcome_of
+from kinecast.robot.simulation import Simulation
+from kinecast.robot.supervisor import SupervisorOptions
+from kinecast.types import Decision
+from kinecast.view.runs import Setting
+from kinecast.view.server import check_address
+from kinecast.view.viewer import Viewer
 
 RECORDED = "recorded person"
 
