@@ -54,7 +54,7 @@ class Fading(Memoryless):
         """A distribution over the next T steps, all randomness from rng."""
         mean = self.mean(observation.positions[None])[0]
         motions = mean + rng.standard_normal((samples, 1, 6, 3)) * self.spread
-        return Forecast(motions, mean, Normal(mean, self.spread), np.ones(self.steps), samples)
+        return Forecast(motions, mean, Normal(mean, self.spread))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Everything it has learned."""
