@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.method_set import method_names, read_models, train_methods, windows_told
+from kinecast.cli.method_set import MethodSet, method_names, read_models, train_methods, windows_told
 from kinecast.cli.options import (
     Action,
     ClusterPlace,
@@ -31,7 +31,6 @@ from kinecast.errors import OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import every_frame
-from kinecast.prediction.method import Method
 from kinecast.tasks.workers import Serial, Workers
 
 DEFAULT_METHODS = (
@@ -110,23 +109,19 @@ def evaluate(
             compared = train_methods(names, recordings, options, obstacles, seed, workers)
         else:
             compared.warn_of_known(tested)
-        settings = {
-            "train": list(compared.trained_on),
-            "models": {name: str(path) for name, path in zip(compared.methods, model, strict=False)},
-            "scene": None if scene is None else scene.name,
-        }
+        models = {name: str(path) for name, path in zip(compared.methods, model, strict=False)}
+        settings = {"models": models, "scene": None if scene is None else scene.name}
         if ablate:
             compared = compared.with_ablations()
         scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
-        score(out, compared.methods, parts, histories, options, obstacles, scores, settings, workers)
+        score(out, replace(compared, windows=options), parts, histories, obstacles, scores, settings, workers)
 
 
 def score(
     out: Path,
-    methods: Mapping[str, Method[Any]],
+    compared: MethodSet,
     parts: Sequence[Windows],
     histories: Sequence[Windows],
-    windows: WindowOptions,
     scene: Scene | None,
     options: EvaluationOptions,
     settings: Mapping[str, Any],
@@ -136,15 +131,14 @@ def score(
 
     Args:
         parts, histories: of each test recording its windows, and those that end with each of its frames.
-        windows: as which they were cut.
-        settings: what else to say about the run: `train`, `models` and `scene`.
+        settings: what else to say about the run: `models` and `scene`.
     """
     from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
 
-    recordings = TestRecording.of(parts, histories)
+    recordings, windows = TestRecording.of(parts, histories), compared.windows
     said = {
         "version": __version__,
-        "train": settings["train"],
+        "train": list(compared.trained_on),
         "models": settings["models"],
         **{name: getattr(windows, name) for name in ("rate", "window", "horizon", "stride", "label")},
         "scene": settings["scene"],
@@ -154,8 +148,8 @@ def score(
     }
     if workers is None or isinstance(workers, Serial):  # those of a cluster compile for themselves
         with compiling():
-            warm_up(methods, recordings, scene, options)
+            warm_up(compared.methods, recordings, scene, options)
     with progress_bar("scoring") as progress:
-        metrics = run_evaluation(out, methods, recordings, scene, options, said, progress, workers)
+        metrics = run_evaluation(out, compared.methods, recordings, scene, options, said, progress, workers)
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")
