@@ -38,7 +38,7 @@ from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evalua
 from kinecast.pipeline import every_frame, followed, observations, training_windows
 from kinecast.prediction.methods import TrainingOptions, train
 from kinecast.prediction.observation import TrainingWindows
-from kinecast.tasks.workers import Serial
+from kinecast.tasks import Serial
 
 METHODS = "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,kinecast"
 """Those of benchmarks.generalisation."""
