@@ -16,6 +16,7 @@ import pickle
 import platform
 import re
 import signal
+import sys
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -282,6 +283,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # pragma: no cover - Windows
         yield
         return
+    sys.warnoptions.append("ignore:resource_tracker")  # it tidies up after a process that is killed, and says so
     resource_tracker.ensure_running()  # else the first process would start it, and let interrupts in again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

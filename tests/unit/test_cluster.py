@@ -29,8 +29,6 @@ from kinecast.prediction.kinecast.experts import fit_network
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.tasks import Cluster, Serial, Workers, cluster_at, scatter, worker_count
 
-OPTIONS = TrainingOptions(pseudo_inputs=4, points=100, iterations=2)
-
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Cluster]:
@@ -61,7 +59,7 @@ class Killer:
 def outcome(people: list[Recording], workers: Workers, progress: Any = None) -> tuple[dict[str, bytes], str]:
     """Arrays of trained methods, and their scores as text."""
     windows = training_windows(people[:2], WindowOptions(), workers=workers)
-    methods = train(["ridge_angles", "gp_xyz"], windows, OPTIONS, progress, workers)
+    methods = train(["ridge", "ridge_angles"], windows, TrainingOptions(), progress, workers)
     _, whole = shipped_methods()
     methods["kinecast"] = whole["kinecast"]  # it follows the person; training it takes long
     arrays = {f"{name}.{key}": a.tobytes() for name, m in methods.items() for key, a in m.to_arrays().items()}

@@ -68,29 +68,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ended.set()
         if ours:
             signal.set_wakeup_fd(before)
-            os.close(writer)
+            os.close(writer)  # then the thread closes the other end, and is done
             sys.unraisablehook = hook
             signal.signal(signal.SIGINT, _leave if arguments is None else signal.default_int_handler)
 
 
 def _insist(reader: int, interrupt: Callable[..., None], ended: threading.Event) -> None:
-    """A thread that hears of Ctrl-C from the C library, and sees to it that the command ends.
+    """A thread that is told of Ctrl-C by the interpreter at once, and sees to it that the command ends.
 
     The main thread may not hear it for long, in foreign code, and the exception that it raises may be lost: in a
     destructor, a callback, an import. A command that handles Ctrl-C itself is left alone.
     """
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # it is for the main thread
     while (number := os.read(reader, 1)) and (
         number[0] != signal.SIGINT or signal.getsignal(signal.SIGINT) != interrupt
     ):
         pass
-    os.close(reader)
-    for _ in range(TIMES):
-        if ended.wait(PATIENCE):
-            return
+    times = 0
+    while not ended.wait(PATIENCE):
+        if times == TIMES:
+            _leave()
+        times += 1
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-    if not ended.wait(PATIENCE):
-        _leave()
+    os.close(reader)
 
 
 def _leave(*_: object) -> None:
