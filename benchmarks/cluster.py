@@ -29,13 +29,13 @@ from typing import Any
 
 import numpy as np
 import psutil
-from kinecast.prediction.kinecast.expert_training import Examples
 
 from benchmarks.machine import facts, save
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, followed, observations, training_windows
+from kinecast.prediction.kinecast.experts import _Examples
 from kinecast.prediction.methods import TrainingOptions, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks import Serial
@@ -49,18 +49,18 @@ HOURS, TESTED, RATE, WORKERS = 45.0, 0.1, 30.0, 64
 """AMASS's length [h], the share of it that is tested on, frames per second, and workers."""
 STRIDE = 5
 STAGES = (
-    ("cut windows", ("cut_resampled",)),
+    ("cut windows", ("resampled_windows",)),
     ("fit experts and baselines",
-     ("position_examples", "residual_moment", "fit_all", "residual_factor", "network", "radial_basis",
+     ("examples", "position_examples", "posture_examples", "residual_moment", "fit_all", "residual_factor", "network", "radial_basis",
       "noisy_radial_basis", "mean_of")),
     ("examples for the gate", ("gate_examples",)),
     ("fit the gate", ("gate",)),
-    ("examples for the spread", ("spread_examples",)),
-    ("fit the spread", ("spread",)),
-    ("score", ("broken_by_truth", "score_windows")),
+    ("examples for the errors", ("error_examples",)),
+    ("fit the errors", ("error_model",)),
+    ("score", ("broken_by_truth", "score_recording")),
 )  # fmt: skip
 """Kinds of tasks that wait for those before them."""
-SPREAD = {"cut_resampled", "gate_examples", "spread_examples", "broken_by_truth", "score_windows"}
+SPREAD = {"resampled_windows", "gate_examples", "error_examples", "broken_by_truth", "score_recording"}
 """Tasks of one recording: more data are more of them. The others see all data: more data make them longer."""
 
 
@@ -191,7 +191,7 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
 def _fit_bytes(windows: TrainingWindows) -> float:
     """Memory that the largest fit, of the radial basis on clean and noisy windows, holds for each window."""
     some = windows.take(np.arange(min(len(windows), 200)))
-    arrays = vars(Examples(some.observed, some.future)).values()
+    arrays = vars(_Examples(some.observed, some.future)).values()
     return 2 * sum(array.nbytes for array in arrays if isinstance(array, np.ndarray)) / len(some)
 
 
@@ -218,9 +218,9 @@ def estimate(small: dict[str, Any], large: dict[str, Any]) -> dict[str, Any]:
         for kind in (kind for kind in kinds if kind in large["costs"]):
             cost, less = large["costs"][kind], small["costs"].get(kind, large["costs"][kind])
             if kind in SPREAD:
-                per = large["frames"] if kind == "cut_resampled" else large["training_windows"]
-                per = large["scored_windows"] if kind in ("score_windows", "broken_by_truth") else per
-                many = scored if kind in ("score_windows", "broken_by_truth") else training
+                per = large["frames"] if kind == "resampled_windows" else large["training_windows"]
+                per = large["scored_windows"] if kind in ("score_recording", "broken_by_truth") else per
+                many = scored if kind in ("score_recording", "broken_by_truth") else training
                 seconds += cost["seconds"] / per * many
                 longest = max(longest, cost["longest"])
             else:

@@ -44,6 +44,7 @@ SETTINGS = {
     # makes the C library hand every array's memory back: half as fast.
     "distributed.nanny.pre-spawn-environ": {**dict.fromkeys(THREADS, "1"), "OMP_WAIT_POLICY": "PASSIVE"},
     "distributed.admin.large-graph-warning-threshold": 2**40,  # recordings and windows travel with the tasks
+    "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine needs long to start another; Dask gives up
 }
 
 Progress = Callable[[int, int], None]
