@@ -18,7 +18,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import repair
 from kinecast.datasets.resampling import RATE_RANGE, resample
 from kinecast.errors import DatasetError, OptionError
-from kinecast.tasks.workers import Progress, Serial, Workers
+from kinecast.tasks import Progress, Serial, Workers
 
 LONGEST = 10.0
 """Longest window or horizon [s]."""
