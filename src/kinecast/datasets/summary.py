@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -32,52 +33,43 @@ SPEED_JOINTS = tuple(joint for joint in ARM_JOINTS if "shoulder" not in joint)
 
 @dataclass(frozen=True)
 class Summary:
-    """What a recording holds.
-
-    Attributes:
-        name, source, format, person, subject, task, rate, notes: as in the recording; source "" for generated ones.
-        frames: how many.
-        duration: [s].
-        measured_rate: one over the median step of the stamps [Hz].
-        longest_step: longest time between two frames [s].
-        joint_names: every joint tracked.
-        labels: frames per label, most frequent first.
-        repeated_frames: copies of the frame before.
-        joints: per joint `missing` (share of frames without it), `gaps` (how often it is lost), `longest_gap` [s],
-            `jumps` (how often it is thrown aside and comes back), and the frames that a repair would have
-            `interpolated`, repeats included, and `left_missing`.
-        bones: per bone of both arms, and the shoulder width: `median` length [m], and `variation`, half the 5-95 %
-            range as a share of it; NaN where never seen.
-        speeds: of elbows and wrists over one frame, repeats and jumps left out: `p50`, `p99`, `max` [m/s].
-        outside_range: share of frames, after a repair, with an arm angle outside `JointLimits`; NaN where the
-            arms are never seen.
-        too_fast: share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow.
-    """
+    """What a recording holds; numbers are NaN where nothing was seen. Names and notes are as in the recording."""
 
     name: str
-    source: str
+    source: str  # "" for generated ones
     format: str
     person: str
     subject: str
     task: str
     frames: int
-    duration: float
-    rate: float
-    measured_rate: float
-    longest_step: float
+    duration: float  # [s]
+    rate: float  # as stated [Hz]
+    measured_rate: float  # one over the median step of the stamps [Hz]
+    longest_step: float  # between two frames [s]
     joint_names: tuple[str, ...]
     labels: Mapping[str, int]
+    """Frames per label, most frequent first."""
     repeated_frames: int
+    """Copies of the frame before."""
     joints: Mapping[str, Mapping[str, float]]
+    """Per joint `missing` (share of frames without it), `gaps` (how often it is lost), `longest_gap` [s], `jumps` (how
+    often it is thrown aside and comes back), and the frames that a repair would have `interpolated`, repeats included,
+    and `left_missing`."""
     bones: Mapping[str, Mapping[str, float]]
+    """Per bone of both arms, and the shoulder width: `median` length [m], and `variation`, half the 5-95 % range as a
+    share of it."""
     speeds: Mapping[str, Mapping[str, float]]
+    """Of elbows and wrists over one frame, repeats and jumps left out: `p50`, `p99`, `max` [m/s]."""
     outside_range: float
+    """Share of frames, after a repair, with an arm angle outside `JointLimits`."""
     too_fast: float
+    """Share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow."""
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, object]:
         """Plain dicts, lists and numbers; None for NaN."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
+        plain: dict[str, object] = json.loads(json.dumps(asdict(self)), parse_constant=lambda _: None)
+        return plain
 
     def lines(self) -> list[str]:
         """The summary in words, one fact a line."""
@@ -187,19 +179,9 @@ def _outside_limits(recording: Recording) -> tuple[float, float]:
     if not set(ARM_JOINTS) <= set(recording.joints):
         return np.nan, np.nan
     T_world_torso = torso_frame(recording.joints, recording.positions).T_world_torso
-    arms = np.stack([recording.joint(name) for name in ARM_JOINTS], axis=1)
-    postures = postures_from_points((arms - T_world_torso[:, None, :3, 3]) @ T_world_torso[:, :3, :3])
+    postures = postures_from_points((recording.arms - T_world_torso[:, None, :3, 3]) @ T_world_torso[:, :3, :3])
     seen = np.isfinite(postures).all(axis=-1)
     if not seen.any():
         return np.nan, np.nan
-    start = np.full(postures.shape[-1], np.nan)
-    position, speed = violations(postures, start, 1.0 / recording.rate, JointLimits())
+    position, speed = violations(postures, np.full(18, np.nan), 1.0 / recording.rate, JointLimits())
     return float(position[seen].mean()), float(speed[seen].mean())
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

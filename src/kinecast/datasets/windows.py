@@ -129,8 +129,8 @@ def windows(recording: Recording, options: WindowOptions, truth: Recording | Non
         labels = recording.labels or ("",) * len(recording.stamps)
         last = np.array([i for i in last if labels[i] == options.label], dtype=int)
     before, after = last[:, None] + np.arange(1 - n, 1), last[:, None] + np.arange(1, steps + 1)
-    seen = _arms(recording)[before]
-    future = _arms(truth or recording)[after]
+    seen = recording.arms[before]
+    future = (truth or recording).arms[after]
     repaired = repair_windows(seen, recording.stamps[before])
     lost = (repaired.trouble & Trouble.LOST).any(axis=1)
     ahead = np.isfinite(future)
@@ -184,10 +184,6 @@ def all_windows(
 def _resampled_windows(recording: Recording, options: WindowOptions) -> Windows:
     truth = resample(repair(recording)[0], options.rate) if options.mend_future else None
     return windows(resample(recording, options.rate), options, truth)
-
-
-def _arms(recording: Recording) -> Float[np.ndarray, "N 6 3"]:
-    return np.stack([recording.joint(name) for name in ARM_JOINTS], axis=1)
 
 
 def _up(
