@@ -75,39 +75,32 @@ class Summary:
         """The summary in words, one fact a line."""
         person = f", person {self.person}" if self.person not in ("", "0") else ""
         measured = f"measured {self.measured_rate:.4g} Hz, longest step {1e3 * self.longest_step:.0f} ms"
-        lines = [
-            f"{self.name}: {self.format}{person}, {self.frames} frames, {self.duration:.1f} s at "
-            f"{self.rate:g} Hz ({measured})",
-            f"  {len(self.joint_names)} joints: {', '.join(self.joint_names)}",
-        ]
+        length = f"{self.frames} frames, {self.duration:.1f} s at {self.rate:g} Hz ({measured})"
+        facts = [f"{len(self.joint_names)} joints: {', '.join(self.joint_names)}"]
         if self.labels:
-            lines.append("  labels: " + ", ".join(f"{label} ({count})" for label, count in self.labels.items()))
-        lines.append(f"  repeated frames: {self.repeated_frames} ({self.repeated_frames / self.frames:.1%})")
+            facts.append("labels: " + ", ".join(f"{label} ({count})" for label, count in self.labels.items()))
+        facts.append(f"repeated frames: {self.repeated_frames} ({self.repeated_frames / self.frames:.1%})")
         for name, joint in self.joints.items():
             if joint["gaps"]:
                 gaps = f"gaps: {joint['gaps']}, longest {joint['longest_gap']:.2f} s"
-                lines.append(f"  {name}: missing in {joint['missing']:.1%} of frames ({gaps})")
+                facts.append(f"{name}: missing in {joint['missing']:.1%} of frames ({gaps})")
         jumps = [f"{name} ({joint['jumps']})" for name, joint in self.joints.items() if joint["jumps"]]
         if jumps:
-            lines.append("  jumps: " + ", ".join(jumps))
+            facts.append("jumps: " + ", ".join(jumps))
         for name, bone in self.bones.items():
-            lines.append(f"  {name}: {1e3 * bone['median']:.0f} mm ± {bone['variation']:.1%}")
+            facts.append(f"{name}: {1e3 * bone['median']:.0f} mm ± {bone['variation']:.1%}")
         for name, speed in self.speeds.items():
             p50, p99, fastest = speed.values()
-            lines.append(f"  {name} speed: median {p50:.2f}, 99 % {p99:.2f}, largest {fastest:.2f} m/s")
-        lines.append(
-            f"  after repair {self.outside_range:.1%} of frames are outside the joints' range, "
-            f"{self.too_fast:.1%} above their speed"
-        )
+            facts.append(f"{name} speed: median {p50:.2f}, 99 % {p99:.2f}, largest {fastest:.2f} m/s")
+        outside = f"{self.outside_range:.1%} of frames are outside the joints' range"
+        facts.append(f"after repair {outside}, {self.too_fast:.1%} above their speed")
         interpolated = sum(joint["interpolated"] for joint in self.joints.values())
         left = sum(joint["left_missing"] for joint in self.joints.values())
         values = self.frames * len(self.joints)
-        lines.append(
-            f"  repair would interpolate {interpolated} of {values} positions ({interpolated / values:.1%}) "
-            f"and leave {left} missing ({left / values:.1%})"
-        )
-        lines.extend(f"  note: {note}" for note in self.notes)
-        return lines
+        positions = f"{interpolated} of {values} positions ({interpolated / values:.1%})"
+        facts.append(f"repair would interpolate {positions} and leave {left} missing ({left / values:.1%})")
+        facts += [f"note: {note}" for note in self.notes]
+        return [f"{self.name}: {self.format}{person}, {length}", *(f"  {fact}" for fact in facts)]
 
 
 def summarise(recording: Recording) -> Summary:

@@ -37,15 +37,12 @@ _CHUNK = 1 << 16  # rows written at a time
 
 @dataclass(frozen=True)
 class Words:
-    """A column of words, most of them repeated.
-
-    Attributes:
-        names: the different words.
-        codes: (R,) place in `names` of each row's word; −1 where it is missing. csv knows no empty words, only missing.
-    """
+    """A column of words, most of them repeated. csv knows no empty words, only missing ones."""
 
     names: tuple[str, ...]
+    """The different words."""
     codes: Int[np.ndarray, " R"]
+    """(R,) place in `names` of each row's word; −1 where it is missing."""
 
     @classmethod
     def of(cls, words: Iterable[str | None], times: Int[np.ndarray, " W"] | int = 1) -> Words:
@@ -57,27 +54,16 @@ class Words:
 
 @dataclass(frozen=True)
 class Rows:
-    """What a table holds, one row for each (stamp, person, joint).
+    """What a table holds, R rows, one for each (stamp, person, joint)."""
 
-    Attributes:
-        stamp: (R,) [s].
-        person: (R,) person ids.
-        joint: (R,) joint names.
-        position: (R, 3) [m], z up; NaN where missing.
-        covariance: (R, 6) xx, xy, xz, yy, yz, zz of the position [m²], or None.
-        label: (R,) what the person is doing, or None.
-        made: (R,) when a predicted row was predicted [s], or None for measured rows.
-        metadata: rate, world frame, source and what else belongs to the whole; JSON values.
-    """
-
-    stamp: Float[np.ndarray, " R"]
+    stamp: Float[np.ndarray, " R"]  # [s]
     person: Words
     joint: Words
-    position: Float[np.ndarray, "R 3"]
-    covariance: Float[np.ndarray, "R 6"] | None = None
-    label: Words | None = None
-    made: Float[np.ndarray, " R"] | None = None
-    metadata: dict[str, Any] | None = None
+    position: Float[np.ndarray, "R 3"]  # [m], z up; NaN where missing
+    covariance: Float[np.ndarray, "R 6"] | None = None  # xx, xy, xz, yy, yz, zz of the position [m²]
+    label: Words | None = None  # what the person is doing
+    made: Float[np.ndarray, " R"] | None = None  # when a predicted row was predicted [s]; None for measured rows
+    metadata: dict[str, Any] | None = None  # rate, world frame, source and what else is of the whole; JSON values
 
 
 def matches(path: Path) -> bool:
@@ -146,10 +132,8 @@ def load(path: Path) -> list[Recording]:
 
 
 def _require_complete(rows: Rows, path: Path, nameless: bool = False) -> None:
-    incomplete = {"stamp": ~np.isfinite(rows.stamp), "joint": rows.joint.codes < 0}
-    if not nameless:
-        incomplete["person"] = rows.person.codes < 0
-    for column, missing in incomplete.items():
+    persons = (rows.person.codes < 0) & (not nameless)
+    for column, missing in (("stamp", ~np.isfinite(rows.stamp)), ("joint", rows.joint.codes < 0), ("person", persons)):
         if missing.any():
             raise DatasetError(f"{path}, row {int(np.argmax(missing)) + 1}", f"no {column}")
 
@@ -210,19 +194,20 @@ def _labels(
 
 def write_rows(path: Path, rows: Rows) -> None:
     """Write a table; the file appears whole or not at all. Raises as `write`."""
-    columns: dict[str, Any] = {"stamp": rows.stamp, "person": rows.person, "joint": rows.joint}
-    columns |= dict(zip(_POSITION, rows.position.T, strict=True))
-    if rows.covariance is not None:
-        columns |= dict(zip(_COVARIANCE, rows.covariance.T, strict=True))
-    more = {"label": rows.label, "made": rows.made}
-    columns |= {name: column for name, column in more.items() if column is not None}
+    optional = {"label": rows.label, "made": rows.made}
+    covariance = () if rows.covariance is None else rows.covariance.T
+    columns: dict[str, Any] = {
+        "stamp": rows.stamp, "person": rows.person, "joint": rows.joint,
+        **dict(zip(_POSITION, rows.position.T, strict=True)),
+        **dict(zip(_COVARIANCE, covariance, strict=False)),
+        **{name: column for name, column in optional.items() if column is not None},
+    }  # fmt: skip
     metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
     if path.suffix not in (".parquet", ".csv"):
         raise OptionError(f"a table is written as .parquet or .csv, not {path.name!r}")
     require_extra(path)
-    write_columns = _write_csv if path.suffix == ".csv" else _write_parquet
     with _whole(path) as file:
-        write_columns(file, columns, metadata)
+        (_write_csv if path.suffix == ".csv" else _write_parquet)(file, columns, metadata)
 
 
 def require_extra(path: Path) -> None:
@@ -301,15 +286,13 @@ def _require_few(rows: int, path: Path) -> None:
 
 def _write_parquet(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes) -> None:
     pa = _pyarrow()
-    table = pa.table({name: _encoded(each) if isinstance(each, Words) else each for name, each in columns.items()})
-    table = table.replace_schema_metadata({_PARQUET_METADATA: metadata})
-    pa.parquet.write_table(table, file, compression="zstd")
 
+    def encoded(words: Words) -> Any:
+        codes = pa.array(words.codes, mask=words.codes < 0)
+        return pa.DictionaryArray.from_arrays(codes, pa.array(words.names, type=pa.string()))
 
-def _encoded(words: Words) -> Any:
-    pa = _pyarrow()
-    codes = pa.array(words.codes, mask=words.codes < 0)
-    return pa.DictionaryArray.from_arrays(codes, pa.array(words.names, type=pa.string()))
+    table = pa.table({name: encoded(each) if isinstance(each, Words) else each for name, each in columns.items()})
+    pa.parquet.write_table(table.replace_schema_metadata({_PARQUET_METADATA: metadata}), file, compression="zstd")
 
 
 def _read_parquet(path: Path) -> tuple[dict[str, Any], bytes | None]:

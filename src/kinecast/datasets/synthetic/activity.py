@@ -34,14 +34,12 @@ class Actor:
     Id idle. The last quarter of the movement to an object or to its place belongs to Pi or Pl.
     """
 
-    def __init__(
-        self, body: Body, scene: Scene, rng: np.random.Generator, table_height: float, hesitation: float = 0.0
-    ) -> None:
+    def __init__(self, body: Body, scene: Scene, rng: np.random.Generator, table: float, hesitation: float = 0.0):
         self._body = body
         self._hesitation = hesitation
         self._goals = scene.goals
         self._rng = rng
-        self._wrist_height = table_height + WRIST_ABOVE_TABLE
+        self._wrist_height = table + WRIST_ABOVE_TABLE
         rest = [self._rest(LEFT), self._rest(RIGHT)]
         self._hands = [Path(rest[LEFT]), Path(rest[RIGHT])]
         self._trunk = Path(self._posture(np.stack(rest), turn_to=0.0))
@@ -136,15 +134,13 @@ class Actor:
         natural arch if None; now and then the hand sets out for `instead` first.
         """
         (first, goal), *_ = targets.items()
+        self._labels.append((self._now, labels[0]))
         if instead is not None and self._rng.random() < self._hesitation:
-            wrong = self._move({first: instead}, lift)
-            self._labels.append((self._now, labels[0]))
+            start, wrong = self._now, self._move({first: instead}, lift)
             self._now += wrong * self._rng.uniform(0.35, 0.6)
-            remaining = wrong - (self._now - self._labels[-1][0])
-            duration = self._move({first: goal}, 0.0, at_least=remaining + 0.25)
+            duration = self._move({first: goal}, 0.0, at_least=wrong - (self._now - start) + 0.25)
         else:
             duration = self._move(targets, lift)
-            self._labels.append((self._now, labels[0]))
         self._labels.append((self._now + 0.75 * duration, labels[1]))
         self._now += duration
 
