@@ -25,14 +25,12 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.errors import OptionError
 from kinecast.ros.messages import Distribution, Messages, messages_of
-from kinecast.ros.transport import Callback, Transport
+from kinecast.ros.transport import CLOSING, Callback, Transport
 
 MOST_AT_ONCE = 64
-LOOK = 0.2
-"""Longest wait for a message before looking whether to end [s]."""
+LOOK = 0.2  # longest wait for a message before looking whether to end [s]
 LOOPBACK = "127.0.0.1"
-PARTICIPANTS = 32
-"""Others on this machine that are looked for without multicast."""
+PARTICIPANTS = 32  # others on this machine that are looked for without multicast
 
 _CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 _RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
@@ -48,18 +46,9 @@ _lock = threading.Lock()
 
 
 class DdsTransport(Transport):
-    """A participant of a DDS domain.
+    """A participant of a DDS domain, which speaks Humble's or Jazzy's definitions; see `participant`."""
 
-    Args:
-        distribution: whose definitions are spoken, Humble's or Jazzy's.
-        domain: as ROS_DOMAIN_ID.
-        network: interface, by name or address; "" is this machine alone, unless CYCLONEDDS_URI says otherwise.
-
-    Raises:
-        OptionError: an interface that is none, or not the one this process uses already.
-    """
-
-    def __init__(self, distribution: Distribution, domain: int, network: str = "") -> None:
+    def __init__(self, distribution: Distribution, domain: int, network: str) -> None:
         super().__init__(messages_of(distribution))
         self._participant = participant(domain, network)
         self._readers: list[tuple[DataReader[Any], str, Callback]] = []
@@ -70,8 +59,7 @@ class DdsTransport(Transport):
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
         qos = STATIC_READER if topic == "/tf_static" else READER
         reader = DataReader(self._participant, self._topic(topic, self._message_class(type_)), qos=qos)
-        state = SampleState.Any | ViewState.Any | InstanceState.Any
-        self._waiting.attach(ReadCondition(reader, state))
+        self._waiting.attach(ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any))
         self._readers.append((reader, topic, callback))
         if self._thread is None:
             self._thread = threading.Thread(target=self._read, name="dds", daemon=True)
@@ -92,7 +80,7 @@ class DdsTransport(Transport):
     def close(self) -> None:
         self._ended.set()
         if self._thread:
-            self._thread.join()
+            self._thread.join(CLOSING)
         self._readers.clear()
         self._publishers.clear()
 
@@ -121,10 +109,12 @@ class DdsTransport(Transport):
 
 
 def participant(domain: int, network: str) -> DomainParticipant:
-    """A participant on an interface; see DdsTransport.
+    """A participant of a domain, as ROS_DOMAIN_ID, on an interface, by name or address.
+
+    The network "" is this machine alone, unless CYCLONEDDS_URI says otherwise.
 
     Raises:
-        OptionError: see there.
+        OptionError: an interface that is none, or not the one this process uses already.
     """
     if not 0 <= domain <= 232:
         raise OptionError(f"domain {domain} is outside 0..232")
@@ -161,28 +151,21 @@ def _configuration(network: str) -> str | None:
 
 
 def idl_type(messages: Messages, type_: str, known: dict[str, Any]) -> Any:
-    """CycloneDDS's type of a message.
+    """CycloneDDS's type of a message; it and those it is made of are added to the known ones."""
 
-    Args:
-        messages: whose definitions are used.
-        type_: `package/Type`.
-        known: types made before; this one and those it is made of are added.
-    """
+    def of(node: Nodetype, kind: Any) -> Any:
+        if node == Nodetype.NAME:
+            return idl_type(messages, kind, known)
+        if node == Nodetype.BASE:
+            plain = {"string": str, "bool": bool, "byte": types.uint8, "char": types.uint8}
+            return plain.get(kind[0]) or getattr(types, kind[0])
+        part, length = kind
+        kinds: Any = types
+        return kinds.array[of(*part), length] if node == Nodetype.ARRAY else kinds.sequence[of(*part)]
+
     name = normalize_msgtype(type_)
     if name not in known:
         package, _, bare = name.split("/")
-        fields = {field: _field(messages, known, *kind) for field, kind in messages.store.fielddefs[name][1]}
+        fields = {field: of(*kind) for field, kind in messages.store.fielddefs[name][1]}
         known[name] = make_idl_struct(bare, f"{package}.msg.dds_.{bare}_", fields)
     return known[name]
-
-
-def _field(messages: Messages, known: dict[str, Any], node: Nodetype, kind: Any) -> Any:
-    if node == Nodetype.NAME:
-        return idl_type(messages, kind, known)
-    if node == Nodetype.BASE:
-        plain = {"string": str, "bool": bool, "byte": types.uint8, "char": types.uint8}
-        return plain.get(kind[0]) or getattr(types, kind[0])
-    part, length = kind
-    of = _field(messages, known, *part)
-    kinds: Any = types
-    return kinds.array[of, length] if node == Nodetype.ARRAY else kinds.sequence[of]

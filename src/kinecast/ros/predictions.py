@@ -1,4 +1,4 @@
-"""A prediction as fields of standard messages, and of kinecast's own."""
+"""A prediction as fields of standard messages, and of kinecast's own. A stamp is of a message's header [s]."""
 
 from __future__ import annotations
 
@@ -14,26 +14,16 @@ from kinecast.types import LIMBS, Status
 
 Fields = dict[str, Any]
 Colour = tuple[float, float, float]
-LINE_LIST, TEXT, DELETE = 5, 9, 2
-"""Types and an action of visualization_msgs/Marker."""
-MARKERS = range(3)
-"""Ids of a person's markers: the arms now, their mean at every step, the status."""
-THICK, THIN, HIGH = 0.03, 0.01, 0.08
-"""Lines and letters [m]."""
-ABOVE = np.array([0.0, 0.0, 0.3])
-"""Where the words stand, from the highest joint [m]."""
-UNKNOWN_TURN = math.pi**2
-"""Variance of an angle of which nothing is known [rad²]."""
+LINE_LIST, TEXT, DELETE = 5, 9, 2  # types and an action of visualization_msgs/Marker
+MARKERS = range(3)  # ids of a person's markers: the arms now, their mean at every step, the status
+THICK, THIN, HIGH = 0.03, 0.01, 0.08  # lines and letters [m]
+ABOVE = np.array([0.0, 0.0, 0.3])  # where the words stand, from the highest joint [m]
+UNKNOWN_TURN = math.pi**2  # variance of an angle of which nothing is known [rad²]
 SEEN: Colour = (0.85, 0.85, 0.85)
 
 
 def distribution(publication: Publication, stamp: float) -> Fields:
-    """Fields of a kinecast_msgs/PredictedDistribution: mean, covariance and tubes of every step.
-
-    Args:
-        publication: what to tell.
-        stamp: of the header [s].
-    """
+    """Fields of a kinecast_msgs/PredictedDistribution: mean, covariance and tubes of every step."""
     prediction, tubes = publication.prediction, publication.tubes
     covariance = prediction.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
     steps = []
@@ -85,10 +75,7 @@ def joint_pose(publication: Publication, stamp: float, joint: int) -> Fields:
 def markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
     """Fields of a visualization_msgs/MarkerArray: the arms now, their mean at every step, fading, and the status.
 
-    Args:
-        publication: what to draw; joints that are NaN are left out.
-        stamp: of the headers [s].
-        lifetime: how long it stays without a newer one [s].
+    Joints that are NaN are left out. It stays for its lifetime [s] without a newer one.
     """
     prediction, observed = publication.prediction, arms_of(publication.frame)
     colour = colour_of(prediction.status)
@@ -134,9 +121,9 @@ def _lines(poses: Float[np.ndarray, "N 6 3"], colour: Colour, opacities: Sequenc
     colours: list[Fields] = []
     for arms, opacity in zip(poses, opacities, strict=True):
         joints, seen = points(arms), np.isfinite(arms).all(axis=1)
-        for start, end in LIMBS:
-            if seen[start] and seen[end]:
-                ends += [joints[start], joints[end]]
+        for limb in LIMBS:
+            if seen[list(limb)].all():
+                ends += [joints[end] for end in limb]
                 colours += [_rgba(colour, opacity)] * 2
     common = {"type": LINE_LIST, "color": _rgba(colour, 1.0), "scale": {"x": width}, "pose": upright({})}
     return common | {"points": ends, "colors": colours}

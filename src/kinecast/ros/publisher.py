@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from kinecast.errors import OptionError
 from kinecast.live.publication import Publication
-from kinecast.ros.planning_scene import CollisionObjects, SceneOptions, scene_diff
+from kinecast.ros.planning_scene import CollisionObjects, SceneOptions
 from kinecast.ros.predictions import Fields, distribution, joint_pose, markers, no_markers, pose_array
 
 OUTPUTS = ("prediction", "markers", "poses", "planning_scene")
@@ -21,12 +21,9 @@ _TYPES = {
     "markers": "visualization_msgs/MarkerArray",
     "planning_scene": "moveit_msgs/PlanningScene",
 }
-MOST_PERSONS = 64
-"""Persons with topics of their own, all through a run."""
-SAME_CLOCK = 60.0
-"""Stamps within so much [s] of the ROS clock are of that clock, and go out as they came."""
-AT_LEAST = 0.1
-"""How long anything stays [s]."""
+MOST_PERSONS = 64  # with topics of their own, all through a run
+SAME_CLOCK = 60.0  # stamps within so much [s] of the ROS clock are of that clock, and go out as they came
+AT_LEAST = 0.1  # how long anything stays [s]
 
 
 class Posting(NamedTuple):
@@ -34,23 +31,16 @@ class Posting(NamedTuple):
 
     topic: str
     type_: str
-    fields: Mapping[str, Any]
+    fields: Fields
 
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What is sent, and where.
+    """What is sent, and where."""
 
-    Attributes:
-        namespace: of all topics, such as `/kinecast`.
-        outputs: which of `OUTPUTS`.
-        planning_scene: topic of the planning scene; "" is below the namespace. MoveIt listens on `/planning_scene`.
-        scene: how tubes become collision objects.
-    """
-
-    namespace: str = "/kinecast"
-    outputs: tuple[str, ...] = OUTPUTS
-    planning_scene: str = ""
+    namespace: str = "/kinecast"  # of all topics
+    outputs: tuple[str, ...] = OUTPUTS  # which of `OUTPUTS`
+    planning_scene: str = ""  # its topic; "" is below the namespace. MoveIt listens on /planning_scene
     scene: SceneOptions = field(default_factory=SceneOptions)
 
     def __post_init__(self) -> None:
@@ -83,7 +73,9 @@ class PredictionPublisher:
         """Messages of a prediction; what it rests on has been acquired by `now`, on `Publication.acquired`'s clock."""
         outputs, prediction = self._options.outputs, publication.prediction
         token = self._token(publication.key)
-        stamp = _stamp(publication, now, ros_now)
+        stamp = prediction.stamp
+        if abs(stamp - ros_now) > SAME_CLOCK:
+            stamp = max(ros_now - (now - publication.acquired), 0.0)
         horizon = float(prediction.times[-1] - prediction.stamp) if len(prediction.times) else 0.0
         expires = max(publication.acquired + horizon, now + AT_LEAST)
         self._shown[publication.key] = publication.frame.frame_id, expires
@@ -117,7 +109,8 @@ class PredictionPublisher:
 
     def _scene(self, objects: list[Fields]) -> Iterator[Posting]:
         if objects:
-            yield self._posting("planning_scene", scene_diff(objects))
+            diff = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": objects}}
+            yield self._posting("planning_scene", diff)
 
     def _posting(self, output: str, fields: Fields) -> Posting:
         return Posting(self._topic(output), _TYPES[output], fields)
@@ -134,9 +127,3 @@ class PredictionPublisher:
             names = (f"person_{plain}", *(f"person_{plain}_{count}" for count in range(2, MOST_PERSONS + 2)))
             self._tokens[key] = next(name for name in names if name not in self._tokens.values())
         return self._tokens.get(key, "")
-
-
-def _stamp(publication: Publication, now: float, ros_now: float) -> float:
-    """When the frame was taken, on the ROS clock [s]."""
-    own = publication.prediction.stamp
-    return own if abs(own - ros_now) <= SAME_CLOCK else max(ros_now - (now - publication.acquired), 0.0)

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from rosbags.typesys.msg import normalize_msgtype
+
 from kinecast.errors import OptionError
 from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.transport import Callback, Transport
@@ -19,8 +21,7 @@ from kinecast.ros.transport import Callback, Transport
 DEBIAN = Path("/usr/lib/python3/dist-packages")
 """Where Debian and Ubuntu keep the system's Python packages, rospy among them."""
 NODE = "kinecast"
-QUEUE = 50
-"""Messages that wait for a slow subscriber; rospy drops the oldest of more."""
+QUEUE = 50  # messages that wait for a slow subscriber; rospy drops the oldest of more
 
 _open = 0
 _lock = threading.Lock()
@@ -36,7 +37,6 @@ class Ros1Transport(Transport):
     def __init__(self) -> None:
         global _open
         super().__init__(messages_of(Distribution.NOETIC))
-        _stay_local()
         self._rospy = _import_rospy()
         rosgraph = importlib.import_module("rosgraph")
         if not rosgraph.is_master_online():
@@ -60,11 +60,7 @@ class Ros1Transport(Transport):
         class_ = self._message_class(type_)
         publisher = self._rospy.Publisher(topic, class_, queue_size=QUEUE, tcp_nodelay=True)
         self._registered.append(publisher)
-
-        def publish(content: bytes) -> None:
-            publisher.publish(class_().deserialize(content))
-
-        return publish
+        return lambda content: publisher.publish(class_().deserialize(content))
 
     def now(self) -> float:
         """The ROS clock [s]; simulated where the parameter /use_sim_time says so."""
@@ -81,17 +77,18 @@ class Ros1Transport(Transport):
 
     def _message_class(self, type_: str) -> Any:
         """A message class for rospy that leaves bytes as they are."""
-        text, md5 = self.messages.definition(type_)
-        named = {"_type": type_, "_md5sum": md5, "_full_text": text}
-        return type("Bytes", (self._rospy.AnyMsg,), named)
+        text, md5 = self.messages.store.generate_msgdef(normalize_msgtype(type_))
+        return type("Bytes", (self._rospy.AnyMsg,), {"_type": type_, "_md5sum": md5, "_full_text": text})
 
 
 def _import_rospy() -> Any:
     """rospy: of the ROS that is sourced, else of the system's packages, which then stand last on the path.
 
-    Raises:
-        OptionError: there is none, or it does not run with this Python.
+    It listens on the loopback only, where the master is on this machine and nothing else was said.
     """
+    master = urlsplit(os.environ.get("ROS_MASTER_URI", "http://localhost:11311")).hostname or ""
+    if master in ("localhost", "127.0.0.1", "::1") and not {"ROS_IP", "ROS_HOSTNAME"} & os.environ.keys():
+        os.environ["ROS_HOSTNAME"] = "localhost"
     if find_spec("rospy") is None and (DEBIAN / "rospy").is_dir():
         sys.path.append(str(DEBIAN))
         importlib.invalidate_caches()
@@ -101,10 +98,3 @@ def _import_rospy() -> Any:
         raise OptionError(
             f"ros1: no rospy here ({error}): source ROS 1's setup.bash, or on Debian apt-get install python3-rospy"
         ) from None
-
-
-def _stay_local() -> None:
-    """Has rospy listen on the loopback only, where the master is on this machine and nothing else was said."""
-    master = urlsplit(os.environ.get("ROS_MASTER_URI", "http://localhost:11311")).hostname or ""
-    if master in ("localhost", "127.0.0.1", "::1") and not {"ROS_IP", "ROS_HOSTNAME"} & os.environ.keys():
-        os.environ["ROS_HOSTNAME"] = "localhost"

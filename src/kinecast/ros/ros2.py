@@ -10,7 +10,7 @@ from typing import Any
 
 from kinecast.errors import OptionError
 from kinecast.ros.messages import Distribution, messages_of
-from kinecast.ros.transport import Callback, Transport
+from kinecast.ros.transport import CLOSING, Callback, Transport
 
 NODE = "kinecast"
 QUEUE = 10
@@ -67,15 +67,11 @@ class Ros2Transport(Transport):
         self._executor.shutdown()
         self._node.destroy_node()
         self._rclpy.shutdown(context=self._context)
-        self._thread.join()
+        self._thread.join(CLOSING)
 
 
 def _message_class(type_: str) -> Any:
-    """The class of a message's package.
-
-    Raises:
-        OptionError: it is not built here.
-    """
+    """The class of a message's package."""
     package, _, name = type_.partition("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -13,12 +13,10 @@ from kinecast.geometry.transforms import from_quaternion, inverse, transform
 from kinecast.live.message import FARTHEST, LONGEST_NAME, MessageError
 
 MOST_FRAMES = 1024
-DEEPEST = 64
-"""Frames between one and the root of its tree."""
-STALE = 0.5
-"""A transform that is older than what it is applied to by more than this [s] is not used."""
+DEEPEST = 64  # frames between one and the root of its tree
+STALE = 0.5  # a transform that is older than what it is applied to by more than this [s] is not used
 
-
+Matrix = Float[np.ndarray, "4 4"]
 Position = list[float | None]
 UNSEEN: Position = [None, None, None]
 
@@ -36,7 +34,7 @@ def point(xyz: Any) -> Position:
 class Lookup(NamedTuple):
     """Where a frame is: T (4, 4) carries points into the frame `within`; stamps of the moving transforms used [s]."""
 
-    T: Float[np.ndarray, "4 4"]
+    T: Matrix
     within: str
     oldest: float
     newest: float
@@ -44,7 +42,7 @@ class Lookup(NamedTuple):
 
 class _Transform(NamedTuple):
     parent: str
-    T: Float[np.ndarray, "4 4"]
+    T: Matrix
     stamp: float
     fixed: bool
 
@@ -58,12 +56,10 @@ class TransformTree:
     def __contains__(self, frame: str) -> bool:
         return frame in self._transforms
 
-    def update(self, message: Any, fixed: bool = False) -> None:
+    def update(self, message: Any, fixed: bool) -> None:
         """Takes a tf2_msgs/TFMessage; one of its transforms that is older than what is known is passed over.
 
-        Args:
-            message: as decoded.
-            fixed: from `/tf_static`: holds for all times.
+        Those from `/tf_static` are fixed: they hold for all times.
 
         Raises:
             MessageError: a transform that is none, or too many frames; those before it are taken.
@@ -77,13 +73,8 @@ class TransformTree:
             if known is None or known.fixed or stamp >= known.stamp or known.stamp - stamp > 1.0:
                 self._transforms[child] = _Transform(parent, _matrix(each.transform, child), stamp, fixed)
 
-    def lookup(self, frame: str, within: str = "", stamp: float = -np.inf) -> Lookup:
-        """Where a frame is within another.
-
-        Args:
-            frame: of which nothing may be known.
-            within: the other; "" is the root of its tree.
-            stamp: when it is needed [s].
+    def lookup(self, frame: str, within: str, stamp: float = -np.inf) -> Lookup:
+        """Where a frame is within another, "" for the root of its tree, when it is needed [s].
 
         Raises:
             MessageError: the two are not connected, or were told more than `STALE` before the stamp.
@@ -112,7 +103,7 @@ class TransformTree:
             chain.append(self._transforms[chain[-1]].parent)
         return chain
 
-    def _product(self, chain: Sequence[str]) -> Float[np.ndarray, "4 4"]:
+    def _product(self, chain: Sequence[str]) -> Matrix:
         return reduce(lambda T, frame: self._transforms[frame].T @ T, chain, np.eye(4))
 
 
@@ -123,9 +114,8 @@ def _name(text: str) -> str:
     return name
 
 
-def _matrix(message: Any, child: str) -> Float[np.ndarray, "4 4"]:
-    xyz = np.array(point(message.translation), dtype=np.float64)
-    turn = message.rotation
+def _matrix(message: Any, child: str) -> Matrix:
+    xyz, turn = np.array(point(message.translation), dtype=np.float64), message.rotation
     wxyz = np.array([turn.w, turn.x, turn.y, turn.z])
     near = np.abs(xyz).max() <= FARTHEST and np.abs(wxyz).max() <= 1.01  # not of a NaN
     if not (near and 0.99 < np.linalg.norm(wxyz) < 1.01):

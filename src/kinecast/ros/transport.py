@@ -21,10 +21,8 @@ from kinecast.ros.subscriber import SkeletonSubscriber
 
 Callback = Callable[[str, bytes], None]
 """Takes a topic and the bytes of a message that came on it, in any thread."""
-LOOK = 0.5
-"""Longest wait for something to do [s]."""
-CLOSING = 5.0
-"""Longest wait for what waits to be sent [s]: a network that hangs does not hold the end up."""
+LOOK = 0.5  # longest wait for something to do [s]
+CLOSING = 5.0  # longest wait for a thread to end [s]: a network that hangs does not hold the end up
 
 
 class Transport(ABC):
@@ -40,7 +38,7 @@ class Transport(ABC):
 
     @abstractmethod
     def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
-        """What sends the bytes of a message on a topic."""
+        """What sends the bytes of a message on a topic; an OSError says that nothing can be sent any more."""
 
     @abstractmethod
     def close(self) -> None:
@@ -52,11 +50,7 @@ class Transport(ABC):
             self._publishers[topic] = self.create_publisher(topic, type_)
 
     def publish(self, topic: str, type_: str, content: bytes) -> None:
-        """Sends a message on a topic, which need not be advertised.
-
-        Raises:
-            OSError: nothing can be sent any more.
-        """
+        """Sends a message on a topic, which need not be advertised."""
         self.advertise(topic, type_)
         self._publishers[topic](content)
 
@@ -106,11 +100,7 @@ class RosSource:
 class RosSink:
     """Predictions on topics, from a thread of its own that also deletes what has expired. It closes its transport.
 
-    Args:
-        address: for messages.
-        publisher: makes the messages.
-        transport: sends them.
-        room: publications that may wait; the oldest of more are dropped and counted.
+    Of more publications than there is `room` for, the oldest that wait are dropped and counted.
     """
 
     def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:
