@@ -27,8 +27,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 from kinecast.live.message import MessageError
 from kinecast.live.message_file import labelled_frames, message, recordings_of
-from kinecast.ros.messages import Distribution, messages_of
-from kinecast.ros.predictions import points, upright
+from kinecast.ros.messages import Distribution, messages_of, points, upright
 from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
 from kinecast.ros.transport import Callback, Transport
 from kinecast.types import SkeletonFrame

@@ -58,7 +58,7 @@ class DdsTransport(Transport):
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
         qos = STATIC_READER if topic == "/tf_static" else READER
-        reader = DataReader(self._participant, self._topic(topic, self._message_class(type_)), qos=qos)
+        reader = DataReader(self._participant, self._topic(topic, type_), qos=qos)
         self._waiting.attach(ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any))
         self._readers.append((reader, topic, callback))
         if self._thread is None:
@@ -66,12 +66,12 @@ class DdsTransport(Transport):
             self._thread.start()
 
     def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
-        class_ = self._message_class(type_)
-        writer = DataWriter(self._participant, self._topic(topic, class_), qos=WRITER)
+        sent = self._topic(topic, type_)
+        writer = DataWriter(self._participant, sent, qos=WRITER)
 
         def publish(content: bytes) -> None:
             try:
-                writer.write(class_(content))
+                writer.write(sent.data_type(content))
             except DDSException as error:
                 raise OSError(str(error)) from None
 
@@ -92,11 +92,8 @@ class DdsTransport(Transport):
                     if sample.sample_info.valid_data and not self._ended.is_set():
                         callback(topic, sample.content)
 
-    def _topic(self, topic: str, class_: Any) -> Topic[Any]:
-        return Topic(self._participant, f"rt{topic}", class_)
-
-    def _message_class(self, type_: str) -> Any:
-        """The type of a message, whose objects are no more than its bytes."""
+    def _topic(self, topic: str, type_: str) -> Topic[Any]:
+        """One whose messages are no more than their bytes."""
 
         def initialise(self: Any, content: bytes = b"") -> None:
             self.content = content
@@ -105,16 +102,14 @@ class DdsTransport(Transport):
         struct.__init__ = initialise
         struct.serialize = lambda self, *_, **__: self.content
         struct.deserialize = struct.deserialize_key = classmethod(lambda class_, data, *_, **__: class_(bytes(data)))
-        return struct
+        return Topic(self._participant, f"rt{topic}", struct)
 
 
 def participant(domain: int, network: str) -> DomainParticipant:
     """A participant of a domain, as ROS_DOMAIN_ID, on an interface, by name or address.
 
-    The network "" is this machine alone, unless CYCLONEDDS_URI says otherwise.
-
-    Raises:
-        OptionError: an interface that is none, or not the one this process uses already.
+    The network "" is this machine alone, unless CYCLONEDDS_URI says otherwise. An OptionError for an interface that is
+    none, or not the one this process uses already.
     """
     if not 0 <= domain <= 232:
         raise OptionError(f"domain {domain} is outside 0..232")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
@@ -22,6 +23,8 @@ from kinecast.live.message import MessageError
 
 LARGEST = 1 << 20  # bytes of a message that is read; a ZED camera's has 2 kB a person
 LONGEST = 10_000  # elements of a sequence that is read
+Fields = dict[str, Any]
+"""Values of a message by name; see `Messages.encode`."""
 
 _HERE = Path(__file__).parent
 _CLOCKS = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
@@ -87,7 +90,7 @@ class Messages:
         """rosbags' object of a message."""
         if name not in self._known:
             kinds = dict(self.store.fielddefs[name][1])
-            self._known[name] = {field: (kind, self._value(kind, _left_out(kind))) for field, kind in kinds.items()}
+            self._known[name] = {field: (kind, self._value(kind, None)) for field, kind in kinds.items()}
         known = self._known[name]
         if unknown := fields.keys() - known.keys():
             raise KeyError(f"{name} has no {', '.join(sorted(unknown))}")
@@ -96,14 +99,17 @@ class Messages:
         ])  # fmt: skip
 
     def _value(self, kind: Any, value: Any) -> Any:
-        """A field of rosbags' object."""
+        """A field of rosbags' object; what it is where nothing is given for None."""
         node, of = kind
         if node == Nodetype.BASE:
-            return value
+            return _PLAIN.get(of[0], int)() if value is None else value
         if node == Nodetype.NAME:
-            return self._object(of, _clock(value) if of in _CLOCKS else value)
-        part, _ = of
-        if part[0] == Nodetype.NAME or part[1][0] == "string":
+            return self._object(of, {} if value is None else _clock(value) if of in _CLOCKS else value)
+        part, length = of
+        composed = part[0] == Nodetype.NAME or part[1][0] == "string"
+        if value is None:
+            value = [None if composed else 0] * (length if node == Nodetype.ARRAY else 0)
+        if composed:
             return [self._value(part, each) for each in value]
         return np.asarray(value, "uint8" if part[1][0] in ("byte", "char") else part[1][0])
 
@@ -112,15 +118,14 @@ messages_of = cache(Messages)
 """The messages of a distribution, read once."""
 
 
-def _left_out(kind: Any) -> Any:
-    """What a field is where nothing is given."""
-    node, of = kind
-    if node == Nodetype.NAME:
-        return 0.0 if of in _CLOCKS else {}
-    if node == Nodetype.BASE:
-        return _PLAIN.get(of[0], int)()
-    part, length = of
-    return [_left_out(part)] * (length if node == Nodetype.ARRAY else 0)
+def points(positions: Float[np.ndarray, "N 3"]) -> list[Fields]:
+    """Fields of a geometry_msgs/Point each [m]."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in positions.tolist()]
+
+
+def upright(position: Fields) -> Fields:
+    """Fields of a geometry_msgs/Pose that is not turned."""
+    return {"position": position, "orientation": {"w": 1.0}}
 
 
 def _clock(seconds: float) -> dict[str, int]:

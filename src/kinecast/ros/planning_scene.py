@@ -7,16 +7,14 @@ moved: new shapes cost MoveIt more than new poses.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
 from kinecast.live.publication import Publication, arms_of
-from kinecast.ros.predictions import Fields, points, upright
+from kinecast.ros.messages import Fields, points, upright
 from kinecast.types import LIMBS
 
 LIMB_NAMES = ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm")
@@ -27,20 +25,6 @@ SLACK = 0.06  # a shape that is larger than its tube by more than this [m] is re
 REFRESH = 1.0  # after so long [s] an object is added anew, for those who came later
 
 Ends = Float[np.ndarray, "2 3"]
-
-
-@dataclass(frozen=True)
-class SceneOptions:
-    """How tubes become objects."""
-
-    parts: int = 3  # of the horizon, each an object a limb that holds the tubes of all its steps; 1..8
-    thickness: float = 0.05  # of a limb around its centre line, added to every radius [m]; 0..0.5
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.parts <= 8:
-            raise OptionError(f"parts {self.parts} is outside 1..8")
-        if not 0 <= self.thickness <= 0.5:
-            raise OptionError(f"thickness {self.thickness:g} m is outside 0..0.5 m")
 
 
 class _Object(NamedTuple):
@@ -54,10 +38,10 @@ class _Object(NamedTuple):
 
 
 class CollisionObjects:
-    """The objects of every person in view."""
+    """The objects of every person in view; see `OutputOptions` for parts and thickness [m]."""
 
-    def __init__(self, options: SceneOptions) -> None:
-        self._options = options
+    def __init__(self, parts: int, thickness: float) -> None:
+        self._parts, self._thickness = parts, thickness
         self._known: dict[str, _Object] = {}
 
     def update(self, publication: Publication, person: str, stamp: float, now: float, expires: float) -> list[Fields]:
@@ -101,7 +85,7 @@ class CollisionObjects:
         if not len(tubes.radius):
             return
         ends = np.stack((tubes.start, tubes.end), axis=-2)  # (T, 4, 2, 3)
-        edges = np.linspace(0, len(tubes.radius) - 1, self._options.parts + 1).round().astype(int)
+        edges = np.linspace(0, len(tubes.radius) - 1, self._parts + 1).round().astype(int)
         for part, (low, high) in enumerate(pairwise(edges)):
             centre = ends[(low + high + 1) // 2]
             away = np.linalg.norm(ends[low : high + 1] - centre, axis=-1).max(axis=-1)
@@ -110,7 +94,7 @@ class CollisionObjects:
                 seen = np.linalg.norm(arms_of(publication.frame)[np.array(LIMBS)] - centre, axis=-1).max(axis=-1)
                 reach = np.where(np.isfinite(seen), np.maximum(reach, seen), reach)
             for limb in np.flatnonzero(np.isfinite(reach)):
-                yield f"{LIMB_NAMES[limb]}_{part}", centre[limb], float(reach[limb]) + self._options.thickness
+                yield f"{LIMB_NAMES[limb]}_{part}", centre[limb], float(reach[limb]) + self._thickness
 
 
 def _poses(ends: Ends, length: float) -> list[Fields]:

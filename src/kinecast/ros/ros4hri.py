@@ -42,11 +42,7 @@ class BodyFrames:
         self._due: dict[str, float] = {}
 
     def update(self, message: Any, fixed: bool) -> list[SkeletonMessage]:
-        """Takes a tf2_msgs/TFMessage into the tree: bodies that it completes, or begins anew before they were.
-
-        Raises:
-            MessageError: a transform that is none, or more than `MOST_PERSONS`.
-        """
+        """Takes a tf2_msgs/TFMessage into the tree: bodies that it completes, or begins anew before they were."""
         bodies: dict[str, float] = {}  # of which the message moves a frame, and the newest stamp of each [s]
         for each in message.transforms:
             if match := _FRAME.fullmatch(each.child_frame_id.lstrip("/")):
@@ -80,11 +76,7 @@ class BodyFrames:
 
 
 def from_joint_state(message: Any, tree: TransformTree, within: str, height: float) -> list[SkeletonMessage]:
-    """A person of a height [m] from a sensor_msgs/JointState and the frame `body_<id>` in the tree, within a frame.
-
-    Raises:
-        MessageError: names of no body or of several, an angle missing, or no recent frame of the body.
-    """
+    """A person of a height [m] from a sensor_msgs/JointState and the frame `body_<id>` in the tree, within a frame."""
     bodies = {match[1] for name in message.name if (match := re.fullmatch(r"[lr]_elbow_(.+)", name))}
     if len(bodies) != 1 or len(message.position) != len(message.name):
         raise MessageError("joint states of one body are expected: l_elbow_<id>, …, and a position for each")
@@ -100,13 +92,8 @@ def from_joint_state(message: Any, tree: TransformTree, within: str, height: flo
 def body_joints(angles: Mapping[str, float], height: float) -> dict[str, Float[np.ndarray, "3"]]:
     """Joints in the frame of a body [m], x forward, z up, by the kinematic model of ROS4HRI.
 
-    Args:
-        angles: of `waist` (0 where missing) and of both arms' `y_shoulder`, `p_shoulder`, `r_shoulder` and `elbow`,
-            with `l_` or `r_` before them [rad].
-        height: of the person [m]; all lengths are shares of it.
-
-    Raises:
-        MessageError: an arm's angle is missing.
+    All lengths are shares of the person's height [m]. Angles [rad] are of `waist` (0 where missing) and of both arms'
+    `y_shoulder`, `p_shoulder`, `r_shoulder` and `elbow`, with `l_` or `r_` before them (else a MessageError).
     """
     unit = height / 7.5
     R_torso = rotation_y(angles.get("waist", 0.0))

@@ -42,7 +42,9 @@ _ZED_FORMATS = {0: _ZED_18, 1: _KNOWN["ZED 34"], 2: _ZED_38}
 class InputOptions:
     """What messages do not say themselves."""
 
-    joints: str = ""  # order in PoseArray, and in MarkerArray where texts do not name them: see `joint_order`
+    joints: str = (
+        ""  # order in PoseArray, and in MarkerArray where texts do not name them: a skeleton, or names with commas
+    )
     person: str = "0"  # of a PoseArray
     frame: str = ""  # that positions are carried into by TF; "" leaves them as they come
     height: float = 1.65  # of the person whose joint states are read [m]
@@ -55,8 +57,7 @@ class InputOptions:
 def input_type(text: str) -> str:
     """`package/Type` of what was written: `PoseArray`, `geometry_msgs/PoseArray`, `geometry_msgs/msg/PoseArray`, `TF`.
 
-    Raises:
-        OptionError: skeletons are not read from it.
+    An OptionError where skeletons are not read from it.
     """
     plain = "TFMessage" if text.upper() == "TF" else text.replace("/msg/", "/")
     for type_ in INPUTS:
@@ -66,13 +67,9 @@ def input_type(text: str) -> str:
 
 
 class SkeletonSubscriber:
-    """Reads messages of one topic of a type of `INPUTS`, and of TF where that is needed.
+    """Reads messages of one topic of a type of `INPUTS`, and of TF where that is needed: `topics` and their types.
 
-    Attributes:
-        topics: to subscribe to, with the type of each.
-
-    Raises:
-        OptionError: a PoseArray whose joints are not stated.
+    An OptionError for a PoseArray whose joints are not stated.
     """
 
     def __init__(self, topic: str, type_: str, options: InputOptions) -> None:
@@ -80,7 +77,7 @@ class SkeletonSubscriber:
             raise OptionError(f"{topic}: say which joint each pose is of, by joints=COCO 17 or joints=left_wrist,…")
         self._type = type_
         self._options = options
-        self._order = joint_order(options.joints) if options.joints else []
+        self._order = _joint_order(options.joints) if options.joints else []
         self._tree = TransformTree()
         self._bodies = BodyFrames(self._tree, options.frame)
         self.topics = {topic: type_}
@@ -123,14 +120,8 @@ class SkeletonSubscriber:
         return _from_zed(message)
 
 
-def joint_order(text: str) -> list[str]:
-    """Which joint the k-th position of a message is of.
-
-    The text is a skeleton's name, such as `COCO 17`, or joints with commas between them; unknown ones are left out.
-
-    Raises:
-        OptionError: it is neither.
-    """
+def _joint_order(text: str) -> list[str]:
+    """Joints of a skeleton's name, such as `COCO 17`, or with commas between them; unknown ones are left out."""
     names = _KNOWN.get(text) or [name.strip() for name in text.split(",")]
     if text not in _KNOWN and not set(names) & set(JOINTS):
         known = ", ".join(_KNOWN)

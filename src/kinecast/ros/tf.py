@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -59,10 +58,8 @@ class TransformTree:
     def update(self, message: Any, fixed: bool) -> None:
         """Takes a tf2_msgs/TFMessage; one of its transforms that is older than what is known is passed over.
 
-        Those from `/tf_static` are fixed: they hold for all times.
-
-        Raises:
-            MessageError: a transform that is none, or too many frames; those before it are taken.
+        Those from `/tf_static` are fixed: they hold for all times. A MessageError for a transform that is none, or too
+        many frames; those before it are taken.
         """
         for each in message.transforms:
             child, parent = _name(each.child_frame_id), _name(each.header.frame_id)
@@ -76,8 +73,7 @@ class TransformTree:
     def lookup(self, frame: str, within: str, stamp: float = -np.inf) -> Lookup:
         """Where a frame is within another, "" for the root of its tree, when it is needed [s].
 
-        Raises:
-            MessageError: the two are not connected, or were told more than `STALE` before the stamp.
+        A MessageError where the two are not connected, or were told more than `STALE` before the stamp.
         """
         up = self._chain(frame)
         if not within and len(up) == 1:
@@ -91,8 +87,8 @@ class TransformTree:
         moving = [known.stamp for known in map(self._transforms.__getitem__, up + down) if not known.fixed]
         if (age := stamp - min(moving, default=np.inf)) > STALE:
             raise MessageError(f"TF does not say where {frame!r} is in {within!r}: it said so {age:.1f} s before")
-        T = inverse(self._product(down)) @ self._product(up)
-        return Lookup(T, within, min(moving, default=np.inf), max(moving, default=-np.inf))
+        T_down, T_up = (reduce(lambda T, each: self._transforms[each].T @ T, chain, np.eye(4)) for chain in (down, up))
+        return Lookup(inverse(T_down) @ T_up, within, min(moving, default=np.inf), max(moving, default=-np.inf))
 
     def _chain(self, frame: str) -> list[str]:
         """A frame, its parent, …, the root."""
@@ -102,9 +98,6 @@ class TransformTree:
                 raise MessageError(f"more than {DEEPEST} coordinate frames above one another, or a circle")
             chain.append(self._transforms[chain[-1]].parent)
         return chain
-
-    def _product(self, chain: Sequence[str]) -> Matrix:
-        return reduce(lambda T, frame: self._transforms[frame].T @ T, chain, np.eye(4))
 
 
 def _name(text: str) -> str:

@@ -9,6 +9,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 from kinecast.live.counters import SinkCounters
 from kinecast.live.mailbox import Feed
@@ -59,42 +60,40 @@ class Transport(ABC):
         return time.time()
 
 
+@dataclass
 class RosSource:
     """Skeletons from topics, to a guard; bad messages are counted in the feed. It closes its transport."""
 
-    def __init__(
-        self, address: str, feed: Feed, subscriber: SkeletonSubscriber, transport: Transport, guard: SenderGuard
-    ) -> None:
-        self.address = address
-        self._feed = feed
-        self._subscriber = subscriber
-        self._transport = transport
-        self._guard = guard
-        self._lock = threading.Lock()
+    address: str
+    feed: Feed
+    subscriber: SkeletonSubscriber
+    transport: Transport
+    guard: SenderGuard
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def start(self) -> None:
         """Subscribes."""
-        for topic, type_ in self._subscriber.topics.items():
-            self._transport.messages.prepare(type_)
-            self._transport.subscribe(topic, type_, self._take)
+        for topic, type_ in self.subscriber.topics.items():
+            self.transport.messages.prepare(type_)
+            self.transport.subscribe(topic, type_, self._take)
 
     def close(self) -> None:
         """Ends; no frame comes afterwards."""
-        self._transport.close()
+        self.transport.close()
 
     def _take(self, topic: str, content: bytes) -> None:
         arrived = time.monotonic()
         try:
             with self._lock:
-                for found in self._subscriber.read(self._transport.messages, topic, content):
+                for found in self.subscriber.read(self.transport.messages, topic, content):
                     try:
                         if isinstance(found, MessageError):
                             raise found
-                        self._guard.admit(found, self.address, arrived)
+                        self.guard.admit(found, self.address, arrived)
                     except MessageError as problem:
-                        self._feed.refuse(str(problem))
+                        self.feed.refuse(str(problem))
         except Exception as error:  # in a thread of the transport's, which must go on
-            self._feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
+            self.feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
 
 
 class RosSink:
