@@ -43,8 +43,7 @@ ROS1 = ".bag"  # ending of a bag of ROS 1
 def load(path: Path) -> list[Recording]:
     """One recording for each person on `/skeletons`, else on the only topic that skeletons are read from.
 
-    Raises:
-        DatasetError: no bag, a damaged one, or one that does not say which joint is which.
+    A DatasetError for no bag, a damaged one, or one that does not say which joint is which.
     """
     topic = SKELETONS if SKELETONS in skeleton_topics(path) else ""
     frames, _ = read_frames(path, topic, InputOptions())
@@ -61,11 +60,8 @@ def load(path: Path) -> list[Recording]:
 def write(path: Path, recordings: Sequence[Recording]) -> None:
     """Writes recordings of different persons: for ROS 1 where the path ends in `.bag`, else a folder for ROS 2.
 
-    Stamps go to the nanosecond; names, rates, subjects, tasks, labels and notes are lost.
-
-    Raises:
-        DatasetError: stamps that ROS cannot say.
-        OptionError: there is something at the path.
+    Stamps go to the nanosecond; names, rates, subjects, tasks, labels and notes are lost. A DatasetError for stamps
+    that ROS cannot say, an OptionError where there is something at the path.
     """
     for recording in recordings:
         if len(recording.stamps) and not 0 <= recording.stamps.min() <= recording.stamps.max() < LATEST:
@@ -85,11 +81,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 
 
 def skeleton_topics(path: Path) -> dict[str, str]:
-    """Topics of a bag that skeletons may be read from, with the type of each.
-
-    Raises:
-        DatasetError: it is no bag, or a damaged one.
-    """
+    """Topics of a bag that skeletons may be read from, with the type of each; a DatasetError where it is damaged."""
     with _opened(path) as reader:
         types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
     return {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
@@ -98,9 +90,8 @@ def skeleton_topics(path: Path) -> dict[str, str]:
 def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[SkeletonFrame], int]:
     """Every skeleton of a topic ("" for the only one there is), by stamp, and how many messages were none.
 
-    Raises:
-        DatasetError: it is no bag, a damaged one, or has no skeletons there.
-        OptionError: options that do not fit the type of the messages.
+    A DatasetError for no bag, a damaged one, or one without skeletons there, an OptionError for options that do not fit
+    the type of the messages.
     """
     topics = skeleton_topics(path)
     plain = [each for each, type_ in topics.items() if type_ != TF_TYPE] or list(topics)
@@ -144,10 +135,7 @@ class BagWriter(Transport):
     """Writes messages into a bag, and subscribes to nothing. It is opened by the thread that writes first.
 
     The path is a file that ends in `.bag` for ROS 1, else a folder for ROS 2; neither may be there. ROS 2's bags have
-    the definitions of a distribution, and one of `STORAGES`.
-
-    Raises:
-        OptionError: there is something at the path, no folder for it, or an unknown storage.
+    the definitions of a distribution, and one of `STORAGES`. An OptionError where a bag cannot be written there.
     """
 
     def __init__(self, path: Path, distribution: Distribution, storage: str) -> None:

@@ -134,14 +134,11 @@ def _configuration(network: str) -> str | None:
         kind = "address" if re.fullmatch(r"[0-9.]+|[0-9a-fA-F:]+:[0-9a-fA-F:]*", network) else "name"
         settings = f'<General><Interfaces><NetworkInterface {kind}="{network}"/></Interfaces></General>'
     else:
-        settings = f"""
-        <General>
+        settings = f"""<General>
           <Interfaces><NetworkInterface address="{LOOPBACK}"/></Interfaces><AllowMulticast>false</AllowMulticast>
-        </General>
-        <Discovery>
+        </General><Discovery>
           <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>
-          <Peers><Peer address="{LOOPBACK}"/></Peers>
-        </Discovery>"""
+          <Peers><Peer address="{LOOPBACK}"/></Peers></Discovery>"""
     return f"<CycloneDDS><Domain>{settings}</Domain></CycloneDDS>"
 
 

@@ -60,10 +60,8 @@ class Messages:
     def encode(self, type_: str, fields: Mapping[str, Any]) -> bytes:
         """A message from values by name; those left out are zero, empty, or false.
 
-        Fields of a message type are mappings themselves; a time or duration is a number of seconds.
-
-        Raises:
-            KeyError: a type or field that is not defined.
+        Fields of a message type are mappings themselves; a time or duration is a number of seconds. A KeyError for a
+        type or field that is not defined.
         """
         name = normalize_msgtype(type_)
         return bytes(self._serialize(self._object(name, fields), name))
@@ -71,8 +69,7 @@ class Messages:
     def decode(self, type_: str, content: bytes) -> Any:
         """An object with the fields of a message of a known type; nothing in its bytes is trusted.
 
-        Raises:
-            MessageError: it is no such message, or larger than `LARGEST`; nothing else is ever raised.
+        A MessageError where it is no such message, or larger than `LARGEST`; nothing else is ever raised.
         """
         if len(content) > LARGEST:
             raise MessageError(f"{len(content)} bytes, at most {LARGEST} are taken")

@@ -21,8 +21,7 @@ from kinecast.errors import OptionError
 from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.transport import CLOSING, Callback, Transport
 
-DEBIAN = Path("/usr/lib/python3/dist-packages")
-"""Where Debian and Ubuntu keep the system's Python packages, rospy among them."""
+DEBIAN = Path("/usr/lib/python3/dist-packages")  # of Debian's and Ubuntu's system's packages, rospy among them
 NODE = "kinecast"
 QUEUE1, QUEUE2 = 50, 10  # messages that wait for a slow subscriber; the oldest of more are dropped
 
@@ -49,11 +48,9 @@ class Ros1Transport(Transport):
         self._registered: list[Any] = []
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
-        def take(message: Any) -> None:
-            callback(topic, message._buff)
-
-        class_ = self._message_class(type_)
-        self._registered.append(self._rospy.Subscriber(topic, class_, take, queue_size=QUEUE1, tcp_nodelay=True))
+        class_, options = self._message_class(type_), {"queue_size": QUEUE1, "tcp_nodelay": True}
+        subscriber = self._rospy.Subscriber(topic, class_, lambda message: callback(topic, message._buff), **options)
+        self._registered.append(subscriber)
 
     def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
         class_ = self._message_class(type_)
@@ -128,13 +125,11 @@ class Ros2Transport(Transport):
         self._thread.start()
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
-        def take(content: Any) -> None:
-            callback(topic, bytes(content))
-
         qos = self._qos.qos_profile_sensor_data
         if topic == "/tf_static":
             qos = self._qos.QoSProfile(depth=100, durability=self._qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        self._node.create_subscription(_message_class(type_), topic, take, qos, raw=True)
+        class_ = _message_class(type_)
+        self._node.create_subscription(class_, topic, lambda content: callback(topic, bytes(content)), qos, raw=True)
 
     def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
         publish: Callable[[bytes], None] = self._node.create_publisher(_message_class(type_), topic, QUEUE2).publish

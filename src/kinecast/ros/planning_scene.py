@@ -47,8 +47,7 @@ class CollisionObjects:
     def update(self, publication: Publication, person: str, stamp: float, now: float, expires: float) -> list[Fields]:
         """Fields of a moveit_msgs/CollisionObject for every limb and part, with ids from the person's name.
 
-        Limbs that are not known in the publication keep the object they have until that expires. `now` and `expires`
-        are on one clock, the stamp for the headers on ROS's [s].
+        Limbs that the publication does not know keep the object they have until it expires. Times as in the publisher.
         """
         frame = publication.frame.frame_id
         changes: list[Fields] = []

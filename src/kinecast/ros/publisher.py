@@ -73,7 +73,7 @@ class OutputOptions:
 class PredictionPublisher:
     """Turns predictions into messages, and remembers what must be deleted.
 
-    All times are [s] on one clock of this machine that never jumps, but for `ros_now`.
+    Times are [s] on a clock of this machine that never jumps, but for `ros_now` and stamps.
     """
 
     def __init__(self, options: OutputOptions) -> None:
@@ -163,11 +163,7 @@ def _distribution(publication: Publication, stamp: float) -> Fields:
             "covariance": covariance[k].ravel(),
             "tubes": [{"start": start, "end": end, "radius": radius} for start, end, radius in ends],
         })  # fmt: skip
-    goals = [
-        {"hand": hand, "goal": goal, "probability": share}
-        for hand, shares in prediction.goals.items()
-        for goal, share in shares.items()
-    ]
+    goals = [(hand, goal, share) for hand, shares in prediction.goals.items() for goal, share in shares.items()]
     return {
         "header": _header(publication, stamp),
         "person": prediction.person,
@@ -178,7 +174,7 @@ def _distribution(publication: Publication, stamp: float) -> Fields:
         "observed": points(arms_of(publication.frame)),
         "steps": steps,
         "level": tubes.level,
-        "goals": goals,
+        "goals": [{"hand": hand, "goal": goal, "probability": share} for hand, goal, share in goals],
     }
 
 
@@ -205,7 +201,7 @@ def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
     top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)
     (place,) = points((top + ABOVE)[None])
     text = f"{prediction.person}: {prediction.status.name}"
-    drawn: list[Fields] = [
+    drawn = [
         _lines(observed[None], SEEN, [1.0], THICK),
         _lines(prediction.mean, colour, fading, THIN),
         {"type": TEXT, "text": text, "scale": {"z": HIGH}, "color": _rgba(colour, 1.0), "pose": upright(place)},

@@ -181,9 +181,8 @@ def _joint(order: list[str], text: str, place: int) -> str:
     if text in JOINTS:
         return text
     if not order:
-        raise MessageError(
-            "nothing says which joint a marker is of: state joints, or give each its joint's name as text"
-        )
+        how = "state joints, or give each its joint's name as text"
+        raise MessageError(f"nothing says which joint a marker is of: {how}")
     if not 0 <= place < len(order):
         raise MessageError(f"marker {place} is outside the {len(order)} joints that were stated")
     return order[place]

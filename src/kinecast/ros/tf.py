@@ -31,7 +31,7 @@ def point(xyz: Any) -> Position:
 
 
 class Lookup(NamedTuple):
-    """Where a frame is: T (4, 4) carries points into the frame `within`; stamps of the moving transforms used [s]."""
+    """Where a frame is: T carries points into the frame `within`; stamps of the moving transforms used [s]."""
 
     T: Matrix
     within: str
