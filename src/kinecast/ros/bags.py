@@ -15,7 +15,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Reader as Reader2
@@ -34,8 +33,7 @@ from kinecast.types import SkeletonFrame
 
 MOST_MESSAGES = 5_000_000  # read from one bag
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}  # of rosbag2
-SKELETONS = "/skeletons"  # topic of a recording's frames
-FRAME, DIAMETER = "world", 0.05
+SKELETONS, FRAME, DIAMETER = "/skeletons", "world", 0.05  # topic, coordinate frame and spheres of a recording
 LATEST = 2.0**31  # the first time that ROS 2 cannot say [s]
 ROS1 = ".bag"  # ending of a bag of ROS 1
 
@@ -47,13 +45,10 @@ def load(path: Path) -> list[Recording]:
     """
     topic = SKELETONS if SKELETONS in skeleton_topics(path) else ""
     frames, _ = read_frames(path, topic, InputOptions())
-    latest: dict[str, float] = {}
-    messages = []
+    once: dict[tuple[str, float], SkeletonFrame] = {}
     for frame in frames:
-        if frame.stamp > latest.get(frame.person, -np.inf):  # else it came twice
-            latest[frame.person] = frame.stamp
-            messages.append((str(path), message(frame, None)))
-    found = recordings_of(messages, path, "bag")
+        once.setdefault((frame.person, frame.stamp), frame)
+    found = recordings_of(((str(path), message(frame, None)) for frame in once.values()), path, "bag")
     return [replace(each, rate=float(f"{each.rate:.6g}")) for each in found]  # not what nanoseconds make of it
 
 
@@ -147,7 +142,8 @@ class BagWriter(Transport):
             raise OptionError(f"{path}: there is no folder {path.absolute().parent} that can be written to")
         if not self._first and storage not in STORAGES:
             raise OptionError(f"storage {storage!r}: expected {' or '.join(STORAGES)}")
-        self._path, self._distribution, self._storage = path, distribution, storage
+        self._version: Any = 8 if distribution is Distribution.HUMBLE else 9  # of rosbag2's format
+        self._path, self._storage = path, storage
         self._connections: dict[str, Any] = {}
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
@@ -173,7 +169,6 @@ class BagWriter(Transport):
         if self._first:
             writer: Any = Writer1(self._path)
         else:
-            version: Any = 8 if self._distribution is Distribution.HUMBLE else 9
-            writer = Writer2(self._path, version=version, storage_plugin=STORAGES[self._storage])
+            writer = Writer2(self._path, version=self._version, storage_plugin=STORAGES[self._storage])
         writer.open()
         return writer

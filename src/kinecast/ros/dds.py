@@ -34,12 +34,10 @@ PARTICIPANTS = 32  # others on this machine that are looked for without multicas
 
 _CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 _RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
+# As rclcpp's default, in plain CDR; its sensor data, which matches every publisher; all that /tf_static said before.
 WRITER = Qos(_RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(10), _CDR)
-"""As rclcpp's default: reliable, volatile, keeps the last 10; plain CDR."""
 READER = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(100), _CDR)
-"""As rclcpp's sensor data, which matches every publisher."""
 STATIC_READER = Qos(_RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(100), _CDR)
-"""Of /tf_static whatever was said before is wanted too."""
 
 _domains: dict[int, tuple[str, Domain]] = {}
 _lock = threading.Lock()

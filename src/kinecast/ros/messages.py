@@ -23,8 +23,7 @@ from kinecast.live.message import MessageError
 
 LARGEST = 1 << 20  # bytes of a message that is read; a ZED camera's has 2 kB a person
 LONGEST = 10_000  # elements of a sequence that is read
-Fields = dict[str, Any]
-"""Values of a message by name; see `Messages.encode`."""
+Fields = dict[str, Any]  # values of a message by name; see `Messages.encode`
 
 _HERE = Path(__file__).parent
 _CLOCKS = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
@@ -111,8 +110,7 @@ class Messages:
         return np.asarray(value, "uint8" if part[1][0] in ("byte", "char") else part[1][0])
 
 
-messages_of = cache(Messages)
-"""The messages of a distribution, read once."""
+messages_of = cache(Messages)  # read once
 
 
 def points(positions: Float[np.ndarray, "N 3"]) -> list[Fields]:

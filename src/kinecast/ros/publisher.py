@@ -200,12 +200,9 @@ def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
     fading = np.linspace(0.9, 0.2, len(prediction.mean), endpoint=False).tolist()
     top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)
     (place,) = points((top + ABOVE)[None])
-    text = f"{prediction.person}: {prediction.status.name}"
-    drawn = [
-        _lines(observed[None], SEEN, [1.0], THICK),
-        _lines(prediction.mean, colour, fading, THIN),
-        {"type": TEXT, "text": text, "scale": {"z": HIGH}, "color": _rgba(colour, 1.0), "pose": upright(place)},
-    ]
+    words: Fields = {"type": TEXT, "text": f"{prediction.person}: {prediction.status.name}", "scale": {"z": HIGH}}
+    words |= {"color": _rgba(colour, 1.0), "pose": upright(place)}
+    drawn = _lines(observed[None], SEEN, [1.0], THICK), _lines(prediction.mean, colour, fading, THIN), words
     common = {"header": _header(publication, stamp), "ns": "/".join(publication.key), "lifetime": lifetime}
     return {"markers": [common | {"id": id_} | each for id_, each in zip(MARKERS, drawn, strict=True)]}
 
@@ -219,8 +216,7 @@ def _rgba(colour: Colour, opacity: float) -> Fields:
 
 
 def _lines(poses: Float[np.ndarray, "N 6 3"], colour: Colour, opacities: Sequence[float], width: float) -> Fields:
-    ends: list[Fields] = []
-    colours: list[Fields] = []
+    ends, colours = [], []
     for arms, opacity in zip(poses, opacities, strict=True):
         joints, seen = points(arms), np.isfinite(arms).all(axis=1)
         for limb in LIMBS:

@@ -20,10 +20,9 @@ from kinecast.ros.tf import STALE, UNSEEN, Position, TransformTree, seconds
 
 MOST_PERSONS = 64  # in one message, or begun
 _SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-FRAMES = {"body": "pelvis", "torso": "collar", "head": "head"} | {
-    f"{side[0]}_{joint}": f"{side}_{joint}" for side in ("left", "right") for joint in _SIDED
-}
-"""Frames of a body, without its id, and the joints at their origins."""
+# Frames of a body, without its id, and the joints at their origins.
+FRAMES = {"body": "pelvis", "torso": "collar", "head": "head"}
+FRAMES |= {f"{side[0]}_{joint}": f"{side}_{joint}" for side in ("left", "right") for joint in _SIDED}
 _FRAME = re.compile(rf"({'|'.join(FRAMES)})_(.+)")
 _ARMS = tuple(frame for frame, joint in FRAMES.items() if joint in ARM_JOINTS)
 _ANGLES = ("y_shoulder", "p_shoulder", "r_shoulder", "elbow")

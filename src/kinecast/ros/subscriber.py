@@ -18,10 +18,8 @@ from kinecast.types import SkeletonFrame
 TF_TYPE = "tf2_msgs/TFMessage"
 POSES, MARKERS, JOINT_STATE = "geometry_msgs/PoseArray", "visualization_msgs/MarkerArray", "sensor_msgs/JointState"
 INPUTS = (TF_TYPE, POSES, MARKERS, JOINT_STATE, "zed_interfaces/ObjectsStamped", "zed_msgs/ObjectsStamped")
-"""Types that skeletons are read from."""
-TALLEST = 2.5
-CUBE, SPHERE, SPHERE_LIST, POINTS = 1, 2, 7, 8
-"""Types of visualization_msgs/Marker that stand for joints."""
+TALLEST = 2.5  # [m]
+CUBE, SPHERE, SPHERE_LIST, POINTS = 1, 2, 7, 8  # types of visualization_msgs/Marker that stand for joints
 DELETE, DELETEALL = 2, 3
 
 _KNOWN = {each.name: list(each.joints) for each in SKELETONS}
@@ -124,8 +122,8 @@ def _joint_order(text: str) -> list[str]:
     """Joints of a skeleton's name, such as `COCO 17`, or with commas between them; unknown ones are left out."""
     names = _KNOWN.get(text) or [name.strip() for name in text.split(",")]
     if text not in _KNOWN and not set(names) & set(JOINTS):
-        known = ", ".join(_KNOWN)
-        raise OptionError(f"joints {text!r}: expected a skeleton ({known}) or joints such as left_wrist,left_elbow")
+        known = f"a skeleton ({', '.join(_KNOWN)}) or joints such as left_wrist,left_elbow"
+        raise OptionError(f"joints {text!r}: expected {known}")
     return names
 
 

@@ -22,8 +22,7 @@ from kinecast.ros.subscriber import SkeletonSubscriber
 
 Callback = Callable[[str, bytes], None]
 """Takes a topic and the bytes of a message that came on it, in any thread."""
-LOOK = 0.5  # longest wait for something to do [s]
-CLOSING = 5.0  # longest wait for a thread to end [s]: a network that hangs does not hold the end up
+LOOK, CLOSING = 0.5, 5.0  # longest waits for something to do, and for a thread to end: a network may hang [s]
 
 
 class Transport(ABC):
