@@ -29,13 +29,13 @@ from typing import Any
 
 import numpy as np
 import psutil
-from kinecast.prediction.kinecast.expert_training import Examples
 
 from benchmarks.machine import facts, save
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import every_frame, followed, observations, training_windows
+from kinecast.pipeline import every_frame, training_windows
+from kinecast.prediction.kinecast.experts import ExpertExamples
 from kinecast.prediction.methods import TrainingOptions, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks.workers import Serial
@@ -49,18 +49,18 @@ HOURS, TESTED, RATE, WORKERS = 45.0, 0.1, 30.0, 64
 """AMASS's length [h], the share of it that is tested on, frames per second, and workers."""
 STRIDE = 5
 STAGES = (
-    ("cut windows", ("cut_resampled",)),
+    ("cut windows", ("resampled_windows",)),
     ("fit experts and baselines",
      ("position_examples", "residual_moment", "fit_all", "residual_factor", "network", "radial_basis",
       "noisy_radial_basis", "mean_of")),
     ("examples for the gate", ("gate_examples",)),
     ("fit the gate", ("gate",)),
-    ("examples for the spread", ("spread_examples",)),
-    ("fit the spread", ("spread",)),
-    ("score", ("broken_by_truth", "score_windows")),
+    ("examples for the error model", ("error_examples",)),
+    ("fit the error model", ("error_model",)),
+    ("score", ("broken_by_truth", "score_recording")),
 )  # fmt: skip
 """Kinds of tasks that wait for those before them."""
-SPREAD = {"cut_resampled", "gate_examples", "spread_examples", "broken_by_truth", "score_windows"}
+SPREAD = {"resampled_windows", "gate_examples", "error_examples", "broken_by_truth", "score_recording"}
 """Tasks of one recording: more data are more of them. The others see all data: more data make them longer."""
 
 
@@ -171,11 +171,7 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
     windows = windows.take(_leading(windows.recording, share * most / len(windows)))
     methods = train(arguments.methods.split(","), windows, TrainingOptions(), workers=workers)
     parts = all_windows(tested, options)
-    histories = {part.name: part for part in all_windows(tested, every_frame(options))}
-    scored = [
-        TestRecording(part.name, observations(part), part.future, part.frames, followed(histories[part.name]))
-        for part in parts
-    ]
+    scored = TestRecording.of(parts, all_windows(tested, every_frame(options)))
     evaluate(methods, scored, None, EvaluationOptions(arguments.samples, arguments.repeats), workers=workers)
     return {
         "training_windows": len(windows),
@@ -191,7 +187,7 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
 def _fit_bytes(windows: TrainingWindows) -> float:
     """Memory that the largest fit, of the radial basis on clean and noisy windows, holds for each window."""
     some = windows.take(np.arange(min(len(windows), 200)))
-    arrays = vars(Examples(some.observed, some.future)).values()
+    arrays = vars(ExpertExamples(some.observed, some.future)).values()
     return 2 * sum(array.nbytes for array in arrays if isinstance(array, np.ndarray)) / len(some)
 
 
@@ -218,9 +214,9 @@ def estimate(small: dict[str, Any], large: dict[str, Any]) -> dict[str, Any]:
         for kind in (kind for kind in kinds if kind in large["costs"]):
             cost, less = large["costs"][kind], small["costs"].get(kind, large["costs"][kind])
             if kind in SPREAD:
-                per = large["frames"] if kind == "cut_resampled" else large["training_windows"]
-                per = large["scored_windows"] if kind in ("score_windows", "broken_by_truth") else per
-                many = scored if kind in ("score_windows", "broken_by_truth") else training
+                per = large["frames"] if kind == "resampled_windows" else large["training_windows"]
+                per = large["scored_windows"] if kind in ("score_recording", "broken_by_truth") else per
+                many = scored if kind in ("score_recording", "broken_by_truth") else training
                 seconds += cost["seconds"] / per * many
                 longest = max(longest, cost["longest"])
             else:

@@ -28,8 +28,6 @@ from typing import Any
 
 import numba
 import numpy as np
-from kinecast.prediction.forecast import Method
-from kinecast.prediction.kinecast.method import Horizon
 
 from benchmarks.generalisation import VICON
 from benchmarks.machine import RESULTS, facts, save
@@ -43,6 +41,8 @@ from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 from kinecast.pipeline import every_frame, followed, training_windows
 from kinecast.prediction.goals import HANDS, WRISTS
+from kinecast.prediction.kinecast.model import Kinecast
+from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.methods import TrainingOptions, card_of, read_method, save_method, shipped_methods, train
 
 OPTIONS = WindowOptions()
@@ -60,10 +60,10 @@ REST, APART, MOST = 0.06, 0.15, 4
 
 
 def scores(
-    methods: dict[str, Method], scene: Scene | None, tests: Sequence[TestRecording], samples: int
+    methods: dict[str, Method[Any]], scene: Scene | None, tests: Sequence[TestRecording], samples: int
 ) -> dict[str, Any]:
     """Scores of methods in one scene: all windows, and those in which a wrist moves."""
-    limits = next(method.limits for method in methods.values() if isinstance(method, Horizon) and method.limits)
+    limits = next(method.limits for method in methods.values() if isinstance(method, Kinecast) and method.limits)
     found, _ = evaluate(methods, tests, scene, EvaluationOptions(samples=samples, repeats=0, limits=limits))
     return {name: brief(each) for name, each in found["methods"].items()}
 
@@ -90,7 +90,7 @@ def reaches(path: np.ndarray, rate: float) -> list[tuple[int, int]]:
 
 
 def accuracy(
-    method: Horizon, scene: Scene, measured: Sequence[Recording], clean: Sequence[Recording]
+    method: Kinecast, scene: Scene, measured: Sequence[Recording], clean: Sequence[Recording]
 ) -> dict[str, Any]:
     """How well goals are told during reaches, by the share of the reach gone, beside two baselines.
 
@@ -111,18 +111,18 @@ def accuracy(
                 for frame in range(first, last + 1):
                     if frame in at:
                         goal_of[frame, hand] = ((frame - first) / (last - first), goal)
-        memory = method.memory()
+        state = method.init_state()
         for frame, observation, seen in followed(part):
-            method.follow(memory, observation, seen)
+            state = method.update(state, observation, seen)
             if not any((frame, hand) in goal_of for hand in (0, 1)):
                 continue
-            forecast = method.forecast(observation, np.random.default_rng(0), 2, scene, memory)
-            assert memory.current is not None
+            forecast = forecast_in_scene(method, state, observation, np.random.default_rng(0), 2, scene)
+            assert state.output is not None
             for hand, side in enumerate(HANDS):
                 if (frame, hand) in goal_of:
                     gone, goal = goal_of[frame, hand]
                     chances = np.array(list(forecast.goals[side].values()))
-                    now, end = observation.positions[-1, WRISTS[hand]], memory.current.mean[-1, WRISTS[hand]]
+                    now, end = observation.positions[-1, WRISTS[hand]], state.output.mean[-1, WRISTS[hand]]
                     near = [int(np.argmin(np.linalg.norm(scene.regions.centers - p, axis=1))) for p in (now, end)]
                     rows.append((gone, goal, -np.log(chances[goal]), int(chances.argmax()), *near))
     table = np.array(rows)
@@ -173,7 +173,7 @@ def elsewhere(goals: dict[str, Sphere | Box], seed: int) -> Recording:
 def on_goals(samples: int, stride: int, people: int = PEOPLE) -> dict[str, Any]:
     """The part `goals`."""
     method = shipped_methods()[1]["kinecast"]
-    assert isinstance(method, Horizon)
+    assert isinstance(method, Kinecast)
     options = SyntheticOptions(subjects=people, recordings=3, duration=DURATION)
     scene = table_scene(options)
     goals = {name: scene.goals[name] for name in CUBES}
@@ -204,18 +204,18 @@ def on_cost(samples: int) -> dict[str, Any]:
     """The part `cost`: processor time of one forecast on one core, medians over one person's frames taken in turns."""
     numba.set_num_threads(1)
     method = shipped_methods()[1]["kinecast"]
-    assert isinstance(method, Horizon)
+    assert isinstance(method, Kinecast)
     options = SyntheticOptions(subjects=1, recordings=1, duration=8.0)
     scene, (person,) = table_scene(options), generate(options, SEED)
     scenes = {count: Scene((), {name: scene.goals[name] for name in CUBES[:count]}) for count in (0, 1, 3, 5)}
     seconds: dict[int, list[float]] = {count: [] for count in scenes}
     (part,) = all_windows([person], every_frame(OPTIONS))
-    memory, rng = method.memory(), np.random.default_rng(SEED)
+    state, rng = method.init_state(), np.random.default_rng(SEED)
     for _, observation, measured in followed(part):
-        method.follow(memory, observation, measured)
+        state = method.update(state, observation, measured)
         for count, each in scenes.items():
             started = time.process_time()
-            method.forecast(observation, rng, samples, each, memory)
+            forecast_in_scene(method, state, observation, rng, samples, each)
             seconds[count].append(time.process_time() - started)
     medians = {count: 1e3 * float(np.median(each[10:])) for count, each in seconds.items()}
     print("  ".join(f"{count} goals +{each - medians[0]:.2f} ms" for count, each in medians.items() if count))
@@ -233,7 +233,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
     return train_on, test_on
 
 
-def model_of(recordings: Sequence[Recording], path: Path) -> Horizon:
+def model_of(recordings: Sequence[Recording], path: Path) -> Kinecast:
     """A model trained on recordings, or read from a file."""
     if not path.exists():
         data, settings = training_windows(recordings, OPTIONS), TrainingOptions()
@@ -242,7 +242,7 @@ def model_of(recordings: Sequence[Recording], path: Path) -> Horizon:
     card, method = read_method(path)
     if set(card.trained_on) != {each.name for each in recordings}:
         raise SystemExit(f"{path}: trained on other recordings than this benchmark trains on")
-    assert isinstance(method, Horizon)
+    assert isinstance(method, Kinecast)
     return method
 
 

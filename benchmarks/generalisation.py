@@ -15,15 +15,15 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-from kinecast.prediction.forecast import Method
+from typing import Any
 
 from kinecast.body.limits import JointLimits
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import every_frame, followed, observations, training_windows
+from kinecast.pipeline import every_frame, training_windows
+from kinecast.prediction.method import Method
 from kinecast.prediction.methods import TrainingOptions, limits_of, train
 
 VICON, HA4M, LEGO, KTH = (
@@ -64,7 +64,7 @@ class Trained:
     """
 
     on: tuple[str, ...]
-    methods: Mapping[str, Method]
+    methods: Mapping[str, Method[Any]]
     limits: JointLimits
     windows: int
     seconds: float
@@ -86,12 +86,7 @@ def names_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
 def run(trained: Trained, tested: Sequence[Recording], samples: int) -> dict[str, object]:
     """One split: scores of methods on recordings they have not seen."""
     options = WindowOptions()
-    parts = list(all_windows(tested, options))
-    every = {history.name: history for history in all_windows(tested, every_frame(options))}
-    recordings = [
-        TestRecording(part.name, observations(part), part.future, part.frames, followed(every[part.name]))
-        for part in parts
-    ]
+    recordings = TestRecording.of(all_windows(tested, options), all_windows(tested, every_frame(options)))
     scores = EvaluationOptions(samples=samples, repeats=0, limits=trained.limits)
     results, _ = evaluate(trained.methods, recordings, None, scores)
     return {"training_windows": trained.windows, "training_seconds": trained.seconds, **results}
@@ -121,7 +116,7 @@ def main() -> None:
     print("\n".join(line(split, result) for split, result in results.items()))
 
 
-def line(split: str, result: dict) -> str:
+def line(split: str, result: dict[str, Any]) -> str:
     """One row of the table: MPJPE of each method, and the gain over the best trivial one."""
     errors = {name: each["mpjpe_mm"] for name, each in result["methods"].items()}
     best = min(errors[name] for name in TRIVIAL if name in errors)

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kinecast.prediction.forecast import Method
 
 from benchmarks.machine import facts, milliseconds, save
 from benchmarks.naive import NaiveConstrained
@@ -33,6 +32,7 @@ from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.shapes import Box, ConstantVelocity, MovingObstacle
 from kinecast.pipeline import frames, training_windows
+from kinecast.prediction.method import Method
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PostureSeries
@@ -103,7 +103,7 @@ def run(
         What is written: milliseconds by method, and how much longer the naive stack takes.
     """
     windows = training_windows([recording], WindowOptions())
-    noise, methods = contestants(windows, trained)
+    noise, methods = method_set(windows, trained)
     scene, options = surroundings(recording), PredictorOptions(samples=samples)
     predictors = {name: Predictor(method, noise, scene, options) for name, method in methods.items()}
     reference = methods["gp_constrained"]
@@ -139,7 +139,7 @@ def run(
     }
 
 
-def contestants(windows: TrainingWindows, trained: Sequence[str]) -> tuple[float, dict[str, Method]]:
+def method_set(windows: TrainingWindows, trained: Sequence[str]) -> tuple[float, dict[str, Method[Any]]]:
     """The noise the shipped models were trained with, and all methods: shipped, freed of limits, and trained here."""
     card, shipped = shipped_methods()
     methods = dict(shipped)

@@ -17,7 +17,7 @@ from kinecast.datasets.splits import by_subject, split_by
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import observations, training_windows
+from kinecast.pipeline import every_frame, training_windows
 from kinecast.prediction.gaussian import PostureGaussian
 from kinecast.prediction.methods import TrainingOptions, limits_of
 from kinecast.prediction.noise import sensor_noise
@@ -68,10 +68,7 @@ def main() -> None:
         "free": PostureGaussian.fit(NearestNeighbours.fit, data, noise, None),
         "constrained": PostureGaussian.fit(NearestNeighbours.fit, data, noise, limits),
     }
-    tests = [
-        TestRecording(part.name, observations(part), part.future, part.frames)
-        for part in all_windows(split.test, windows)
-    ]
+    tests = TestRecording.of(all_windows(split.test, windows), all_windows(split.test, every_frame(windows)))
     results, _ = evaluate(methods, tests, scene, EvaluationOptions(samples=200, repeats=0, limits=limits))
     print(f"{'neighbours':12} MPJPE mm     NLL  inside 90 %  violations (range, speed, scene)")
     for name, scores in results["methods"].items():

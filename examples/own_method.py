@@ -12,12 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from kinecast.prediction.forecast import Forecast
 
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
-from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
+from kinecast.prediction.method import Forecast, Memoryless
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 
@@ -35,7 +34,7 @@ class Normal:
 
 
 @dataclass(frozen=True)
-class Fading:
+class Fading(Memoryless):
     """x + v · decay · (1 − exp(−t / decay)), v over the last two frames; `spread` (T, 6, 3) as errors were [m]."""
 
     frames: int
@@ -51,17 +50,11 @@ class Fading:
         reach = self.decay * (1 - np.exp(-time / self.decay))
         return windows[:, -1:] + reach[:, None, None] * velocity
 
-    def forecast(
-        self,
-        observation: Observation,
-        rng: np.random.Generator,
-        samples: int,
-        scene: Scene | None = None,
-    ) -> Forecast:
+    def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         """A distribution over the next T steps, all randomness from rng."""
         mean = self.mean(observation.positions[None])[0]
         motions = mean + rng.standard_normal((samples, 1, 6, 3)) * self.spread
-        return Forecast(motions, mean, Normal(mean, self.spread), np.ones(self.steps), samples)
+        return Forecast(motions, mean, Normal(mean, self.spread))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Everything it has learned."""

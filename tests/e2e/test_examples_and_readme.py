@@ -12,7 +12,7 @@ import pytest
 
 import kinecast
 from kinecast.cli.evaluate import DEFAULT_METHODS
-from kinecast.cli.formats import FORMAT_NAMES
+from kinecast.cli.recordings import FORMAT_NAMES
 from kinecast.types import Status
 
 ROOT = Path(__file__).resolve().parents[2]

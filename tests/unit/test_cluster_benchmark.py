@@ -15,10 +15,10 @@ from benchmarks import cluster
 
 def measured(windows: int, network: float, spread: float) -> dict[str, Any]:
     costs = {
-        "cut_resampled": {"count": 10, "seconds": 2.0, "longest": 0.5},
+        "resampled_windows": {"count": 10, "seconds": 2.0, "longest": 0.5},
         "network": {"count": 4, "seconds": 4 * network, "longest": network},
-        "spread": {"count": 1, "seconds": spread, "longest": spread},
-        "score_windows": {"count": 8, "seconds": 6.0, "longest": 1.0},
+        "error_model": {"count": 1, "seconds": spread, "longest": spread},
+        "score_recording": {"count": 8, "seconds": 6.0, "longest": 1.0},
     }
     return {
         "training_windows": windows, "frames": 2000, "scored_windows": 100, "window_bytes": 3000.0,
@@ -40,7 +40,7 @@ def test_tasks_of_recordings_become_more_and_tasks_of_all_data_longer() -> None:
     longest = 3.5 + (3.5 - 3.0) / 1000 * (training - 2000)
     assert fits["longest_task_s"] == fits["wall_s"] == pytest.approx(longest)
     assert fits["cpu_s"] == pytest.approx(4 * longest)
-    assert stages["fit the spread"]["wall_s"] == 0.5  # a fit that was faster on more data is taken as constant
+    assert stages["fit the error model"]["wall_s"] == 0.5  # a fit that was faster on more data is taken as constant
     assert stages["score"]["cpu_s"] == pytest.approx(6.0 / 100 * found["scored_windows"])
     assert found["wall_hours"] * 3600 == pytest.approx(sum(each["wall_s"] for each in found["stages"]))
     assert len(cluster.table(found).splitlines()) == len(stages) + 3

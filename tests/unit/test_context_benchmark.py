@@ -12,9 +12,9 @@ if find_spec("benchmarks") is None:
     pytest.skip("no benchmarks: they come with the repository", allow_module_level=True)
 
 from benchmarks import context
-from kinecast.prediction.kinecast.method import Horizon
 
 from kinecast.datasets.synthetic import Fetch, SyntheticOptions, fetching, table_scene
+from kinecast.prediction.kinecast.model import Kinecast
 from kinecast.prediction.methods import shipped_methods
 
 SCENE = table_scene(SyntheticOptions())
@@ -51,7 +51,7 @@ def test_moved_goals_and_people_who_ignore_them_keep_their_distance() -> None:
 
 def test_goals_are_told_better_late_than_early() -> None:
     method = shipped_methods()[1]["kinecast"]
-    assert isinstance(method, Horizon)
+    assert isinstance(method, Kinecast)
     fetches = [Fetch(1.0 + 3 * k, GOALS[goal].center, 0.5) for k, goal in enumerate(("red_cube", "blue_cube"))]
     person = fetching(fetches, 7.0, seed=1, rate=30.0)
     told = context.accuracy(method, replace(SCENE, goals=GOALS), [person], [person])

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from tyro.conf import Positional, arg
 
-from kinecast.cameras.pinhole import PinholeCamera
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
-from kinecast.cli.output_paths import check_file
+from kinecast.cli.options import File, OptionalFile, check_file
 from kinecast.cli.progress import note
 from kinecast.errors import DatasetError, OptionError
 from kinecast.evaluation.output import write_atomically
@@ -27,14 +28,12 @@ BAD = 1.5  # corners so far from where they should be [px] on the average say th
 VAGUE = 0.003  # of the picture's width: an uncertainty of the lens that moves a joint at 3 m by a centimetre
 
 Cameras = Annotated[tuple[str, ...], arg(metavar="NAME=FOLDER [NAME=FOLDER ...]", help_behavior_hint="")]
-OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
-Out = Annotated[Path, arg(metavar="FILE")]
 Origin = Annotated[str | None, arg(metavar="PICTURE", help_behavior_hint="(default: the first picture)")]
 
 
 def calibrate(
     cameras: Positional[Cameras] = (),
-    out: Out = Path("rig.yaml"),
+    out: File = Path("rig.yaml"),
     squares: str = "5x4",
     square: float = 0.070,
     origin: Origin = None,
@@ -56,7 +55,8 @@ def calibrate(
         intrinsics: a rig file whose lenses are taken as they are; others are found from the pictures.
         board: writes a board to print, a PNG, and ends.
     """
-    from kinecast.cameras.charuco import CharucoBoard  # here, since OpenCV is an extra
+    from kinecast.cameras.calibration import find_extrinsics  # here, since OpenCV is an extra
+    from kinecast.cameras.charuco import CharucoBoard
 
     match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", squares)
     if match is None:
@@ -70,11 +70,35 @@ def calibrate(
     if not -10 <= height <= 10:
         raise OptionError(f"--height {height:g} m is outside -10..10")
     check_file(out, (".yaml", ".yml"), "--out")
-    known = {} if intrinsics is None else dict(Rig.load(intrinsics).cameras)
-    rig, lines = _solved(_folders(cameras), printed, origin, height, known)
+    known = {} if intrinsics is None else Rig.load(intrinsics).cameras
+    views = {name: _views(name, folder, printed, known.get(name)) for name, folder in _folders(cameras).items()}
+    corners = {name: each.corners for name, each in views.items()}
+    first = origin or min(moment for each in corners.values() for moment in each)
+    T_world_board = np.diag([1.0, -1.0, -1.0, 1.0])  # out of the printed face is up
+    T_world_board[:3, 3] = (0.0, printed.height, height)
+    lenses = {name: each.lens for name, each in views.items()}
+    extrinsics = find_extrinsics(lenses, corners, Path(first).stem, T_world_board)
+    rig = Rig({name: PinholeCamera(name, lens, extrinsics.T_world_camera[name]) for name, lens in lenses.items()})
     write_atomically(out, rig.to_yaml().encode())
-    print("\n".join(lines))
+    print("\n".join(_table(rig, views, extrinsics)))
     print(f"rig: {out}")
+
+
+@dataclass(frozen=True)
+class _Views:
+    """What one camera saw of the board.
+
+    Attributes:
+        corners: by the name of the picture.
+        pictures: how many there are, also without a board.
+        lens: its intrinsics.
+        error: of the lens, as the table says it.
+    """
+
+    corners: Mapping[str, Corners]
+    pictures: int
+    lens: Intrinsics
+    error: str
 
 
 def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
@@ -83,8 +107,8 @@ def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
         raise OptionError("NAME=FOLDER: at least one camera is needed, or --board FILE for a board to print")
     folders: dict[str, Path] = {}
     for text in texts:
-        name, equals, folder = text.partition("=")
-        if not equals or not name or not folder:
+        name, _, folder = text.partition("=")
+        if not name or not folder:
             raise OptionError(f"{text}: expected NAME=FOLDER")
         if name in folders:
             raise OptionError(f"{name}: is there twice")
@@ -94,47 +118,11 @@ def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
     return folders
 
 
-def _solved(
-    folders: Mapping[str, Path],
-    board: CharucoBoard,
-    origin: str | None,
-    height: float,
-    known: Mapping[str, PinholeCamera],
-) -> tuple[Rig, list[str]]:
-    """The rig, and what to say about it."""
-    from kinecast.cameras.calibration import find_extrinsics, find_intrinsics
-
-    views, lenses, counts, lens_errors = {}, {}, {}, {}
-    for name, folder in folders.items():
-        views[name], size, counts[name] = _pictures(folder, board)
-        if not views[name]:
-            raise DatasetError(
-                folder, f"a board of {board.columns}x{board.rows} squares is seen in none of {counts[name]} pictures"
-            )
-        if name in known:
-            lens = known[name].intrinsics
-            if (lens.width, lens.height) != size:
-                raise DatasetError(
-                    folder, f"pictures of {size[0]}x{size[1]} pixels, but the lens is of {lens.width}x{lens.height}"
-                )
-            lenses[name], lens_errors[name] = lens, "given"
-        else:
-            lenses[name], error, std = find_intrinsics(name, views[name], size)
-            lens_errors[name] = f"{error:.2f} px"
-            if std > VAGUE * size[0]:
-                advice = "take more pictures of a tilted board that fills much of the picture, in all its corners"
-                note(f"{name}: its lens is known to {std:.0f} px only; {advice}", "yellow")
-    first = origin or min(moment for each in views.values() for moment in each)
-    T_world_board = np.diag([1.0, -1.0, -1.0, 1.0])  # out of the printed face is up
-    T_world_board[:3, 3] = (0.0, board.height, height)
-    extrinsics = find_extrinsics(lenses, views, Path(first).stem, T_world_board)
-    rig = Rig({name: PinholeCamera(name, lenses[name], extrinsics.T_world_camera[name]) for name in folders})
-    return rig, _table(rig, views, counts, lens_errors, extrinsics)
-
-
-def _pictures(folder: Path, board: CharucoBoard) -> tuple[dict[str, Corners], tuple[int, int], int]:
-    """What is seen of the board in each picture of a folder; the pictures' size, and how many there are."""
+def _views(name: str, folder: Path, board: CharucoBoard, known: PinholeCamera | None) -> _Views:
+    """What a camera saw of the board in the pictures of a folder, and its lens, found from them unless it is known."""
     import cv2
+
+    from kinecast.cameras.calibration import find_intrinsics
 
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
     if not 0 < len(paths) <= MOST_PICTURES:
@@ -152,29 +140,37 @@ def _pictures(folder: Path, board: CharucoBoard) -> tuple[dict[str, Corners], tu
         corners = board.corners(picture)
         if corners is not None:
             found[path.stem] = corners
-    return found, (width, height), len(paths)
+    if not found:
+        squares = f"{board.columns}x{board.rows}"
+        raise DatasetError(folder, f"a board of {squares} squares is seen in none of {len(paths)} pictures")
+    if known is not None:
+        lens = known.intrinsics
+        if (lens.width, lens.height) != (width, height):
+            lens_size = f"{lens.width}x{lens.height}"
+            raise DatasetError(folder, f"pictures of {width}x{height} pixels, but the lens is of {lens_size}")
+        return _Views(found, len(paths), lens, "given")
+    lens, error, std = find_intrinsics(name, found, (width, height))
+    if std > VAGUE * width:
+        advice = "take more pictures of a tilted board that fills much of the picture, in all its corners"
+        note(f"{name}: its lens is known to {std:.0f} px only; {advice}", "yellow")
+    return _Views(found, len(paths), lens, f"{error:.2f} px")
 
 
-def _table(
-    rig: Rig,
-    views: Mapping[str, Mapping[str, Corners]],
-    counts: Mapping[str, int],
-    lens_errors: Mapping[str, str],
-    extrinsics: Extrinsics,
-) -> list[str]:
+def _table(rig: Rig, views: Mapping[str, _Views], extrinsics: Extrinsics) -> list[str]:
     """One line for each camera."""
     width = max(len("camera"), *map(len, rig.cameras))
     lines = [f"{'camera':{width}}  pictures  used  lens      place     x [m]    y [m]    z [m]   ± [mm]  ± [°]"]
     for name, camera in rig.cameras.items():
-        used = len(views[name]) - len(extrinsics.left_out[name])
+        seen, error = views[name], extrinsics.error[name]
+        used = len(seen.corners) - len(extrinsics.left_out[name])
         x, y, z = camera.T_world_camera[:3, 3]
         shift, turn = extrinsics.std[name]
         spread = f"{1e3 * shift:7.1f}  {np.degrees(turn):5.2f}" if shift else "      –      –"
         lines.append(
-            f"{name:{width}}  {counts[name]:8}  {used:4}  {lens_errors[name]:8}  {extrinsics.error[name]:.2f} px  "
+            f"{name:{width}}  {seen.pictures:8}  {used:4}  {seen.error:8}  {error:.2f} px  "
             f"{x:7.3f}  {y:7.3f}  {z:7.3f}  {spread}"
         )
-        if extrinsics.error[name] > BAD:
-            note(f"{name}: corners are {extrinsics.error[name]:.1f} px off: was the board bent, or moving?", "yellow")
+        if error > BAD:
+            note(f"{name}: corners are {error:.1f} px off: was the board bent, or moving?", "yellow")
     lines.append("± is against the first camera; how level the world is, is how level the board lay.")
     return lines

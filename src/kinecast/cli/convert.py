@@ -8,11 +8,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from kinecast.cli.formats import MORE_FORMATS, UNREAD, WRITERS
-from kinecast.cli.options import FormatName, Switch
-from kinecast.cli.output_paths import check_file
+from kinecast.cli.options import FormatName, Switch, check_file
 from kinecast.cli.progress import progress_bar
-from kinecast.cli.recordings import one_scene, read_recordings
+from kinecast.cli.recordings import MORE_FORMATS, UNREAD, WRITERS, one_scene, read_recordings
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import differences
 from kinecast.errors import OptionError
@@ -32,7 +30,6 @@ def convert(
         source: a recording, of one person or of several at the same time.
         target: the file to write, ending in .parquet, .csv, .mcap, .jsonl or .bag, or a folder ending in .rosbag2.
         force: replace a file that is there; never a folder.
-        format: read the recording as this format instead of finding it by content.
     """
     if target.suffix == ".bvh":
         raise OptionError(f"{target}: cannot be written; {NO_BVH}")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinecast.cli.evaluate import score
-from kinecast.cli.options import Folder
-from kinecast.cli.output_paths import check_folder
+from kinecast.cli.method_set import MethodSet
+from kinecast.cli.options import Folder, check_folder
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions
@@ -28,6 +28,6 @@ def demo(out: Folder = Path("kinecast-demo")) -> None:
     options = EvaluationOptions(samples=500, repeats=5, repeat_windows=20, limits=card.limits)
     recordings, windows = generate(people, SEED), WindowOptions()
     parts, histories = all_windows(recordings, windows), all_windows(recordings, every_frame(windows))
-    settings = {"train": list(card.trained_on), "scene": "generated table"}
-    score(out, methods, parts, histories, windows, table_scene(people), options, settings)
+    compared = MethodSet(methods, card.limits, card.trained_on, windows)
+    score(out, compared, parts, histories, table_scene(people), options, {"models": {}, "scene": "generated table"})
     print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")

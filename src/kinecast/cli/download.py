@@ -10,8 +10,7 @@ from typing import Annotated
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from tyro.conf import Positional, arg
 
-from kinecast.cli.options import Folder
-from kinecast.cli.output_paths import check_folder
+from kinecast.cli.options import Folder, check_folder
 from kinecast.cli.progress import CONSOLE
 from kinecast.datasets.download import download as fetch
 from kinecast.datasets.download import public_sets

@@ -22,7 +22,6 @@ def info(
 
     Args:
         paths: recordings, or folders of them.
-        format: read them as this format instead of finding it by content.
         as_json: print JSON instead of text.
     """
     recordings = read_recordings(paths, format)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import heapq
 import logging
 import signal
 import threading
@@ -16,31 +15,24 @@ from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
-from kinecast.cli.options import SceneFile, check_seed
-from kinecast.cli.progress import CONSOLE
-from kinecast.cli.recordings import one_scene, read_recordings
+from kinecast.cli.options import ModelFile, OptionalFile, check_seed
+from kinecast.cli.progress import CONSOLE, compiling
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.pipeline import frames
 from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.types import SkeletonFrame
 
-Sources = Annotated[
-    UseAppendAction[tuple[str, ...]],
-    arg(name="source", metavar="SOURCE", help_behavior_hint="(once or more)"),
-]
-Sinks = Annotated[
-    UseAppendAction[tuple[str, ...]],
-    arg(name="sink", metavar="SINK", help_behavior_hint="(once or more)"),
-]
+_ONCE_OR_MORE = "(once or more)"
+Texts = UseAppendAction[tuple[str, ...]]
+Sources = Annotated[Texts, arg(name="source", metavar="SOURCE", help_behavior_hint=_ONCE_OR_MORE)]
+Sinks = Annotated[Texts, arg(name="sink", metavar="SINK", help_behavior_hint=_ONCE_OR_MORE)]
 RigFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: no fusion)")]
 
 
 def live(
     sources: Sources,
     sinks: Sinks,
-    model: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")] = None,
-    scene: SceneFile = None,
+    model: ModelFile = None,
+    scene: OptionalFile = None,
     rig: RigFile = None,
     samples: int = 1000,
     level: float = 0.95,
@@ -79,7 +71,8 @@ def live(
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
-    first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
+    with compiling():
+        first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
     mailbox = Mailbox()
     opened_sources: list[Source] = []
     opened_sinks: list[Sink] = []
@@ -91,7 +84,7 @@ def live(
         if fused is not None:
             opened_sources.append(close_sources.enter_context(closing(fused)))
         for each in inputs:
-            source = open_source(each, _frames, mailbox, network, fused)
+            source = open_source(each, mailbox, network, fused)
             opened_sources.append(close_sources.enter_context(closing(source)))
         for each in sorted(outputs, key=lambda each: each.replaces_file):
             opened_sinks.append(close_sinks.enter_context(closing(open_sink(each, network, obstacles))))
@@ -116,11 +109,7 @@ def live(
 
 
 def _once(option: str, texts: Sequence[str]) -> Sequence[str]:
-    """The same, at least one and each once.
-
-    Raises:
-        OptionError: they are not.
-    """
+    """The same; OptionError unless there is at least one, and each once."""
     if not texts:
         raise OptionError(f"{option}: at least one is needed")
     again = next((text for text in texts if texts.count(text) > 1 and not text.endswith(":0")), None)
@@ -129,15 +118,9 @@ def _once(option: str, texts: Sequence[str]) -> Sequence[str]:
     return texts
 
 
-def _frames(path: Path) -> list[SkeletonFrame]:
-    """All persons of a recording, frame after frame."""
-    recordings = one_scene(read_recordings((path,), None), path, "live")
-    return list(heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp))
-
-
 @contextmanager
 def _until_told() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or SIGTERM sets instead of ending the program in the middle of something."""
+    """An event that Ctrl-C or SIGTERM sets, instead of ending the program in the middle of something."""
     stop = threading.Event()
     before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -6,12 +6,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live as Screen
 from rich.table import Table
 from rich.text import Text
 
-from kinecast.cli.progress import CONSOLE
+from kinecast.cli.progress import CONSOLE, plain
 from kinecast.live.loop import Live
 from kinecast.live.mailbox import Feed
 from kinecast.types import Status
@@ -19,8 +19,6 @@ from kinecast.types import Status
 SILENT = 0.5
 """After so long without a frame [s] a source is said to be silent."""
 PER_SECOND = 4
-WIDE = 1000
-"""Of the summary, so that no address is cut [characters]."""
 
 
 @contextmanager
@@ -35,10 +33,7 @@ def shown(loop: Live) -> Iterator[None]:
 
 def summary(loop: Live) -> str:
     """The same as plain text."""
-    console = Console(width=WIDE, color_system=None, force_terminal=False)
-    with console.capture() as text:
-        console.print(tables(loop, running=False))
-    return "\n".join(line.rstrip() for line in text.get().splitlines())
+    return plain(tables(loop, running=False))
 
 
 def tables(loop: Live, running: bool = True) -> Group:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import heapq
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinecast.cli.output_paths import check_file
+from kinecast.cli.options import check_file
+from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.live.detection import DetectionHandler
@@ -19,6 +21,7 @@ from kinecast.live.settings import choice, number, settings_of, whole_number
 from kinecast.live.sinks import FileSink, JsonlSink, Sink, WebSocketSink
 from kinecast.live.sources import RecordedSource, Source, UdpSource, WebSocketSource
 from kinecast.live.xsens import DEFAULT_PORT, XsensGuard, XsensOptions
+from kinecast.pipeline import frames
 from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
@@ -98,9 +101,9 @@ def read_source(text: str) -> Endpoint:
     if source.kind == "xsens":
         XsensOptions.parse(source.settings, text)
     elif source.kind in _ROS:
-        from kinecast.cli.live_ros import incoming  # here, since ROS is an extra
+        from kinecast.cli.live_ros import subscriber  # here, since ROS is an extra
 
-        incoming(source)
+        subscriber(source)
     return source
 
 
@@ -114,9 +117,9 @@ def read_sink(text: str) -> Endpoint:
             raise OptionError(wrong)
         check_file(sink.path, (f".{sink.kind}",), "--sink")
     elif sink.kind in (*_ROS, "bag"):
-        from kinecast.cli.live_ros import outgoing
+        from kinecast.cli.live_ros import publisher
 
-        outgoing(sink)
+        publisher(sink)
     return sink
 
 
@@ -131,18 +134,15 @@ def _endpoint(text: str, kinds: Mapping[str, tuple[str, ...]], wrong: str) -> En
 
 def open_source(
     source: Endpoint,
-    play: Callable[[Path], Sequence[SkeletonFrame]],
     mailbox: Mailbox,
     network: Network,
     fused: FusedSource | None,
 ) -> Source:
-    """Opens a source with a feed of its own; network sources listen at once.
+    """Opens a source with a feed of its own in the mailbox; network sources listen at once.
 
     Args:
         source: which.
-        play: gives the frames of a recording.
-        mailbox: for its frames.
-        network: that it runs in.
+        mailbox, network: for its frames, and that it runs in.
         fused: takes what cameras of the rig see; None without a rig.
 
     Raises:
@@ -151,8 +151,7 @@ def open_source(
     text, settings = source.text, source.settings
     if source.kind in ("recording", "bag"):
         speed, repeat = number(settings, "speed", 1.0, text), whole_number(settings, "repeat", 1, text)
-        frames = play(source.path) if source.kind == "recording" else _bag_frames(source)
-        return RecordedSource(text, mailbox.feed(text), frames, speed, repeat)
+        return RecordedSource(text, mailbox.feed(text), _recorded(source), speed, repeat)
     if source.kind == "realsense":
         return _open_realsense(source, mailbox, fused)
     feed = mailbox.feed(text)
@@ -169,10 +168,14 @@ def open_source(
     return (WebSocketSource if source.kind == "ws" else UdpSource)(source.address, feed, network, guard)
 
 
-def _bag_frames(source: Endpoint) -> Sequence[SkeletonFrame]:
-    from kinecast.cli.live_ros import bag_frames
+def _recorded(source: Endpoint) -> Sequence[SkeletonFrame]:
+    """All persons of a recording or a bag, frame after frame."""
+    if source.kind == "bag":
+        from kinecast.cli.live_ros import bag_frames
 
-    return bag_frames(source)
+        return bag_frames(source)
+    recordings = one_scene(read_recordings((source.path,), None), source.path, "live")
+    return list(heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp))
 
 
 def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | None) -> Source:
@@ -202,13 +205,7 @@ def _handler(source: Endpoint, feed: Feed, fused: FusedSource | None) -> Detecti
 
 
 def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> Sink:
-    """Opens a sink; an OptionError where it cannot be.
-
-    Args:
-        sink: which.
-        network: that it runs in.
-        scene: obstacles and goals, for sinks that draw them.
-    """
+    """Opens a sink, in the network where it needs one; OptionError where it cannot be. Views draw the scene."""
     if sink.kind in _FILES:
         return _FILES[sink.kind](sink.path)
     if sink.kind == "ws":

@@ -13,23 +13,19 @@ from kinecast.live.settings import number, whole_number
 from kinecast.live.sinks import MOST_WAITING, Sink
 from kinecast.live.sources import Source
 from kinecast.ros.bags import BagWriter, read_frames
-from kinecast.ros.dds import DdsTransport as DdsCarrier
+from kinecast.ros.dds import DdsTransport
 from kinecast.ros.messages import Distribution
-from kinecast.ros.nodes import Ros1Transport as Ros1Carrier
-from kinecast.ros.nodes import Ros2Transport as Ros2Carrier
-from kinecast.ros.publisher import OUTPUTS, OutputOptions
-from kinecast.ros.publisher import PredictionPublisher as Outgoing
-from kinecast.ros.subscriber import TF_TYPE, InputOptions, input_type
-from kinecast.ros.subscriber import SkeletonSubscriber as Incoming
-from kinecast.ros.transport import RosSink, RosSource
-from kinecast.ros.transport import Transport as Carrier
+from kinecast.ros.nodes import Ros1Transport, Ros2Transport
+from kinecast.ros.publisher import OUTPUTS, OutputOptions, PredictionPublisher
+from kinecast.ros.subscriber import TF_TYPE, InputOptions, SkeletonSubscriber, input_type
+from kinecast.ros.transport import RosSink, RosSource, Transport
 from kinecast.types import SkeletonFrame
 
 ROOM = 8
 """Publications that wait for a network."""
 
 
-def incoming(source: Endpoint) -> Incoming:
+def subscriber(source: Endpoint) -> SkeletonSubscriber:
     """What reads a topic's messages."""
     topic, settings = str(source.place), source.settings
     if not topic.startswith("/"):
@@ -37,10 +33,10 @@ def incoming(source: Endpoint) -> Incoming:
     if "type" not in settings and topic not in ("/tf", "/tf_static"):
         raise OptionError(f"{source.text}: say of which type the messages are, such as type=PoseArray")
     type_ = input_type(settings["type"]) if "type" in settings else TF_TYPE
-    return Incoming(topic, type_, _input_options(source))
+    return SkeletonSubscriber(topic, type_, _input_options(source))
 
 
-def outgoing(sink: Endpoint) -> Outgoing:
+def publisher(sink: Endpoint) -> PredictionPublisher:
     """What makes messages of predictions."""
     settings = sink.settings
     namespace = settings.get("namespace") if sink.kind == "bag" else str(sink.place)
@@ -48,21 +44,20 @@ def outgoing(sink: Endpoint) -> Outgoing:
     thickness = number(settings, "thickness", OutputOptions.thickness, sink.text)
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS
     topic = settings.get("planning_scene", "")
-    return Outgoing(OutputOptions(namespace or "/kinecast", outputs, topic, parts, thickness))
+    return PredictionPublisher(OutputOptions(namespace or "/kinecast", outputs, topic, parts, thickness))
 
 
 def open_source(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:
     """A topic of ROS 1, ROS 2 or DDS."""
-    return RosSource(source.text, feed, incoming(source), _carrier(source), guard)
+    return RosSource(source.text, feed, subscriber(source), _transport(source), guard)
 
 
 def open_sink(sink: Endpoint) -> Sink:
     """Topics of ROS 1, ROS 2 or DDS, or a bag."""
-    told = outgoing(sink)
     if sink.kind != "bag":
-        return RosSink(sink.text, told, _carrier(sink), ROOM)
+        return RosSink(sink.text, publisher(sink), _transport(sink), ROOM)
     writer = BagWriter(sink.path, _distribution(sink, sink.text), sink.settings.get("storage", "mcap"))
-    return RosSink(sink.text, told, writer, MOST_WAITING)
+    return RosSink(sink.text, publisher(sink), writer, MOST_WAITING)
 
 
 def bag_frames(source: Endpoint) -> list[SkeletonFrame]:
@@ -73,15 +68,15 @@ def bag_frames(source: Endpoint) -> list[SkeletonFrame]:
     return frames
 
 
-def _carrier(endpoint: Endpoint) -> Carrier:
+def _transport(endpoint: Endpoint) -> Transport:
     if endpoint.kind == "ros1":
-        return Ros1Carrier()
+        return Ros1Transport()
     if endpoint.kind == "ros2":
-        return Ros2Carrier()
+        return Ros2Transport()
     domain = endpoint.settings.get("domain", os.environ.get("ROS_DOMAIN_ID", "0"))
     if not domain.isdecimal():
         raise OptionError(f"domain {domain!r} is no whole number")
-    return DdsCarrier(_distribution(endpoint, "dds"), int(domain), endpoint.settings.get("network", ""))
+    return DdsTransport(_distribution(endpoint, "dds"), int(domain), endpoint.settings.get("network", ""))
 
 
 def _distribution(endpoint: Endpoint, where: str) -> Distribution:

@@ -86,10 +86,15 @@ def train_methods(
     return MethodSet(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
 
 
-def read_models(
-    paths: Sequence[Path], rate: float | None = None, window: float | None = None, horizon: float | None = None
-) -> MethodSet:
-    """Saved models, at least one, all of this rate [Hz], window and horizon [s]; None for those of the first.
+def windows_told(told: Sequence[float | None], default: WindowOptions) -> WindowOptions:
+    """Windows of the rate [Hz], window and horizon [s] told; None for those of the default."""
+    own = (default.rate, default.window, default.horizon)
+    rate, window, horizon = (mine if value is None else value for value, mine in zip(told, own, strict=True))
+    return replace(default, rate=rate, window=window, horizon=horizon)
+
+
+def read_models(paths: Sequence[Path], told: Sequence[float | None]) -> MethodSet:
+    """Saved models, at least one, all for the windows told (see `windows_told`), or else for those of the first.
 
     Raises:
         ModelError: a file is no model, or made for other windows.
@@ -98,11 +103,7 @@ def read_models(
     models = [(path, *read_method(path)) for path in paths]
     cards = [card for _, card, _ in models]
     first = cards[0]
-    options = WindowOptions(
-        rate=first.rate if rate is None else rate,
-        window=first.frames / first.rate if window is None else window,
-        horizon=first.steps / first.rate if horizon is None else horizon,
-    )
+    options = windows_told(told, WindowOptions(first.rate, first.frames / first.rate, first.steps / first.rate))
     wanted = (options.observed_steps, options.predicted_steps, options.rate)
     frames = "{} frames seen and {} predicted at {:g} Hz"
     for path, card, _ in models:

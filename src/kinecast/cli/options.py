@@ -1,7 +1,8 @@
-"""Options that several commands share: how help names them, what it says of their defaults, and what they stand for."""
+"""Options that several commands share: how help names them, and what is checked before the work starts."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,8 +10,8 @@ from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-from kinecast.cli.formats import FORMAT_NAMES
 from kinecast.cli.progress import note
+from kinecast.cli.recordings import FORMAT_NAMES
 from kinecast.errors import OptionError
 from kinecast.prediction.methods import METHODS
 from kinecast.tasks.workers import Serial, Workers
@@ -22,11 +23,9 @@ What = Positional[Many]
 File = Annotated[Path, arg(metavar="FILE")]
 Folder = Annotated[Path, arg(metavar="FOLDER")]
 Switch = FlagCreatePairsOff[bool]
-SceneFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
-ClusterPlace = Annotated[
-    str | None,
-    arg(metavar="ADDRESS|local[:N]", help_behavior_hint="(default: this process)"),
-]
+OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
+ModelFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")]
+ClusterPlace = Annotated[str | None, arg(metavar="ADDRESS|local[:N]", help_behavior_hint="(default: this process)")]
 Action = Annotated[str | None, arg(metavar="ACTION", help_behavior_hint="(default: all)")]
 FormatName = Annotated[
     str | None,
@@ -68,3 +67,37 @@ def worker_pool(where: str | None) -> Iterator[Workers]:
         count = len(cluster.client.scheduler_info(n_workers=-1)["workers"])
         note(f"cluster {where}: {count} worker{'s' * (count != 1)}")
         yield cluster
+
+
+def check_file(out: Path, endings: tuple[str, ...], option: str = "--out") -> None:
+    """Raises OptionError unless a file can be written; one that is there will be replaced.
+
+    Args:
+        out: the file.
+        endings: of its name, any of them.
+        option: that it was given with, for the message.
+    """
+    if out.suffix not in endings:
+        raise OptionError(f"{option} {out}: its name must end in {' or '.join(endings)}")
+    if out.is_dir():
+        raise OptionError(f"{option} {out}: is a folder, and folders are never replaced: remove it, or name another")
+    folder = out.absolute().parent
+    if not folder.is_dir():
+        raise OptionError(f"{option} {out}: there is no folder {folder}")
+    _check_writable(out, folder, option)
+
+
+def check_folder(out: Path) -> None:
+    """Raises OptionError unless a folder is there or can be made, and files in it."""
+    place = next(place for place in (out.absolute(), *out.absolute().parents) if place.exists())
+    if not place.is_dir():
+        raise OptionError(f"--out {out}: {place} is a file, not a folder")
+    _check_writable(out, place, "--out")
+
+
+def _check_writable(out: Path, folder: Path, option: str) -> None:
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OptionError(f"{option} {out}: nothing can be written in {folder} ({error.strerror})") from None

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
-from kinecast.cli.options import File, FormatName, SceneFile, check_seed
-from kinecast.cli.output_paths import check_file
+from kinecast.cli.options import File, FormatName, ModelFile, OptionalFile, check_file, check_seed
 from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.datasets.table import Rows, Words, require_extra, write_rows
@@ -20,15 +18,12 @@ from kinecast.pipeline import stream
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import Prediction, Status
 
-UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
-"""Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
-
 
 def predict(
     path: Positional[Path],
     out: File,
-    model: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")] = None,
-    scene: SceneFile = None,
+    model: ModelFile = None,
+    scene: OptionalFile = None,
     samples: int = 1000,
     seed: int = 0,
     format: FormatName = None,
@@ -44,7 +39,6 @@ def predict(
         scene: obstacles, a YAML file.
         samples: motions drawn per prediction.
         seed: of the draws.
-        format: read the recording as this format instead of finding it by content.
     """
     check_seed(seed)
     check_file(out, (".parquet", ".csv"))
@@ -68,7 +62,6 @@ def predict(
 
 
 def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor) -> Rows:
-    """The table of all predictions."""
     joints = predictions[0].joints
     steps = np.array([len(prediction.times) for prediction in predictions])
     each = steps * len(joints)
@@ -76,9 +69,9 @@ def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor)
     return Rows(
         stamp=np.repeat(np.concatenate([prediction.times for prediction in predictions]), len(joints)),
         person=_repeated([prediction.person for prediction in predictions], each),
-        joint=_repeated(joints * int(steps.sum()), np.ones(len(covariance), dtype=int)),
+        joint=Words.of(joints * int(steps.sum())),
         position=np.concatenate([prediction.mean.reshape(-1, 3) for prediction in predictions]),
-        covariance=covariance[:, *UPPER_TRIANGLE],
+        covariance=covariance[:, *np.triu_indices(3)],  # xx, xy, xz, yy, yz, zz
         label=_repeated([prediction.status.name for prediction in predictions], each),
         made=np.repeat([prediction.stamp for prediction in predictions], each),
         metadata={"what": "predictions", "source": source.name, "rate": 1.0 / predictor.method.dt},

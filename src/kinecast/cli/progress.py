@@ -6,13 +6,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 CONSOLE = Console(stderr=True)
 
 PATIENCE = 2.0
 """Compiling is mentioned where it takes longer than this [s]."""
+WIDE = 1000
 
 
 @contextmanager
@@ -34,6 +35,14 @@ def compiling() -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+def plain(what: RenderableType) -> str:
+    """A table of Rich's as plain text, so wide that nothing is cut."""
+    console = Console(width=WIDE, color_system=None, force_terminal=False)
+    with console.capture() as text:
+        console.print(what)
+    return "\n".join(line.rstrip() for line in text.get().splitlines())
 
 
 def note(text: str, style: str = "") -> None:

@@ -1,25 +1,83 @@
-"""Recordings read for a command, and those it must not learn from."""
+"""Recordings as commands read them: all formats, those of extras too, and what can be written."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import importlib
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from kinecast.cli.formats import MORE_FORMATS
 from kinecast.cli.progress import note, progress_bar
-from kinecast.datasets.loading import load_all
+from kinecast.datasets import table
+from kinecast.datasets.files import head
+from kinecast.datasets.loading import FORMATS, Format, load_all
 from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+PROFILE = slice(21, 25)
+"""Where an MCAP file of ROS 2 says that it is one."""
+BAG1_MAGIC = b"#ROSBAG V2.0"
+BAG2_START = b"rosbag2_bagfile_information"
+
+
+def _is_mcap(path: Path) -> bool:
+    return path.is_file() and head(path).startswith(MCAP_MAGIC)
+
+
+def _is_jsonl(path: Path) -> bool:
+    return path.is_file() and head(path).lstrip().startswith(b"{")
+
+
+def _is_bag(path: Path) -> bool:
+    """Of ROS 1, or a folder or an MCAP file of ROS 2."""
+    if path.is_dir():
+        about = path / "metadata.yaml"
+        return about.is_file() and head(about).startswith(BAG2_START)
+    start = head(path) if path.is_file() else b""
+    return start.startswith(BAG1_MAGIC) or (start.startswith(MCAP_MAGIC) and start[PROFILE] == b"ros2")
+
+
+def _lazily(module: str, function: str) -> Callable[..., Any]:
+    """A function of a module that needs an extra, imported when it is called."""
+
+    def call(*arguments: Any) -> Any:
+        return getattr(importlib.import_module(f"kinecast.{module}"), function)(*arguments)
+
+    return call
+
+
+MORE_FORMATS = (
+    Format("bag", _is_bag, _lazily("ros.bags", "load")),
+    Format("mcap", _is_mcap, _lazily("live.mcap_file", "load")),
+    Format("jsonl", _is_jsonl, _lazily("live.message_file", "load")),
+)
+FORMAT_NAMES = tuple(sorted((*FORMATS, *(each.name for each in MORE_FORMATS))))
+WRITERS: Mapping[str, Callable[[Path, Sequence[Recording]], None]] = {
+    ".parquet": table.write,
+    ".csv": table.write,
+    ".mcap": _lazily("live.mcap_file", "write"),
+    ".jsonl": _lazily("live.message_file", "write"),
+    ".bag": _lazily("ros.bags", "write"),
+    ".rosbag2": _lazily("ros.bags", "write"),
+}
+"""What writes a file of each ending, or with `.rosbag2` a folder; recordings are of different persons."""
+
+UNREAD: Mapping[str, str] = {
+    "bag": "orientations, coordinate frames and other topics",
+    "vicon": "rotations of the rigid bodies",
+    "bvh": "rotations and offsets of the joints",
+    "mvnx": "orientations, velocities, sensors and joint angles",
+    "andy": "orientations, velocities, sensors and joint angles; labels of single annotators and of other tracks",
+    "ha4m": "orientations, confidences and image points",
+    "kth-handover": "orientations",
+}
+"""What files of a format may hold that no recording does."""
+
 
 def read_recordings(paths: Sequence[Path], format: str | None, option: str = "") -> list[Recording]:
-    """Every recording in files or folders, with a progress bar; `option` is what the paths were given with.
-
-    Raises:
-        OptionError: no paths.
-        DatasetError: as `load_all`.
-    """
+    """Every recording in files or folders, at least one; `option` is what the paths were given with, for an error."""
     if not paths:
         raise OptionError(f"{option}: no recording given".removeprefix(": "))
     with progress_bar("reading") as progress:
@@ -36,25 +94,24 @@ def one_scene(recordings: Sequence[Recording], path: Path, command: str) -> Sequ
 
 def unseen(train: Sequence[Recording], test: Sequence[Recording]) -> list[Recording]:
     """The training recordings that are not test recordings too, by content; OptionError if none is left."""
-    tested = {_content(recording) for recording in test}
-    kept = [recording for recording in train if _content(recording) not in tested]
-    left_out = [recording.name for recording in train if _content(recording) in tested]
-    if not kept:
+
+    def content(recording: Recording) -> tuple[tuple[int, ...], bytes]:
+        positions = recording.positions
+        return positions.shape, hashlib.sha256(positions.tobytes()).digest()
+
+    tested = {content(recording) for recording in test}
+    known = [content(recording) in tested for recording in train]
+    left_out = listed([recording.name for recording, out in zip(train, known, strict=True) if out])
+    if all(known):
         raise OptionError(
-            f"every training recording is also a test recording ({listed(left_out)}); nothing is left to train on"
+            f"every training recording is also a test recording ({left_out}); nothing is left to train on"
         )
     if left_out:
-        note(f"not trained on, because they are test recordings: {listed(left_out)}")
-    return kept
+        note(f"not trained on, because they are test recordings: {left_out}")
+    return [recording for recording, out in zip(train, known, strict=True) if not out]
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:
     """Names with commas between them, the first few of many."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
-
-
-def _content(recording: Recording) -> tuple[tuple[int, ...], bytes]:
-    """Equal for recordings of equal positions."""
-    positions = recording.positions
-    return positions.shape, hashlib.sha256(positions.tobytes()).digest()

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from rich.table import Table
+from rich.text import Text
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.options import Switch, check_seed
-from kinecast.cli.output_paths import check_folder
-from kinecast.cli.progress import compiling
+from kinecast.cli.options import Switch, check_folder, check_seed
+from kinecast.cli.progress import compiling, plain
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
@@ -61,9 +62,6 @@ def simulate(
     """Simulates a UR5 that picks and places a red, a green and a blue cube at a table shared with a person.
 
     Args:
-        scenario: what the person does.
-        person: who comes.
-        predictor: what predicts the person.
         seed: of the person and the camera; the same seed gives the same episode.
         samples: motions drawn per prediction.
         view: shows the cell in the browser until Ctrl-C; writes files only with --out.
@@ -75,26 +73,26 @@ def simulate(
 
     check_seed(seed)
     check_scenario(scenario)
-    cast = Cast(person, seed, samples)
+    config = SimulationConfig(person, seed, samples)
     if view:
         from kinecast.cli.view import serve  # here, since the view is an extra
 
         if out is not None:
             check_folder(out)
-        serve(host, port, scenario, predictor, cast, out)
+        serve(host, port, scenario, predictor, config, out)
         return
     out = OUT if out is None else out
     check_folder(out)
     names = tuple(SCENARIOS) if scenario == "all" else (scenario,)
-    episodes = play(names, predictor, cast)
-    write(out, episodes, cast.settings(scenario, predictor))
+    episodes = play(names, predictor, config)
+    write(out, episodes, config.settings(scenario, predictor))
     print(closing_table(episodes))
     print(f"decisions: {out / 'episode.json'}")
     print(f"pictures: {out / 'storyboard.png'}, and a GIF and a timeline of each scenario beside it")
 
 
 @dataclass(frozen=True)
-class Cast:
+class SimulationConfig:
     """Who comes, and how they are predicted, whatever the scenario.
 
     Attributes:
@@ -141,15 +139,15 @@ def check_scenario(name: str) -> None:
         raise OptionError(f"--scenario {name}: allowed are {', '.join(SCENARIOS)}, all")
 
 
-def play(names: tuple[str, ...], predictor: str, cast: Cast) -> dict[str, tuple[Episode, Outcome]]:
+def play(names: tuple[str, ...], predictor: str, config: SimulationConfig) -> dict[str, tuple[Episode, Outcome]]:
     """Runs scenarios, and prints the decisions as they fall."""
     from kinecast.robot.collaboration import SCENARIOS, Forecasters, simulate_scenario
     from kinecast.robot.outcome import outcome_of
 
-    player, forecasters, episodes = cast.player(), Forecasters(cast.samples), {}
+    player, forecasters, episodes = config.player(), Forecasters(config.samples), {}
     for name in names:
         with compiling():
-            simulation = simulate_scenario(name, predictor, cast.seed, forecasters, player)
+            simulation = simulate_scenario(name, predictor, config.seed, forecasters, player)
         print(f"{name}: {SCENARIOS[name].about if player is None else 'a recorded person'}")
         for command in simulation.steps():
             if command.news:
@@ -186,25 +184,12 @@ def write(out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: 
 
 def closing_table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:
     """The figures of every scenario."""
-    head = ("", "result", "contacts", "least [m]", "done [s]", "stops", "replans", "p50 [ms]", "p99 [ms]")
-    rows = [
-        (
-            name,
-            outcome.result,
-            str(outcome.contacts),
-            f"{outcome.least_distance:.2f}" if np.isfinite(outcome.least_distance) else "–",
-            f"{outcome.time_to_done:.1f}",
-            str(outcome.stops),
-            str(outcome.replans),
-            f"{outcome.latency_p50:.1f}",
-            f"{outcome.latency_p99:.1f}",
-        )
-        for name, (_, outcome) in episodes.items()
-    ]
-    widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
-    lines = [
-        "  ".join(cell.ljust(width) if column < 2 else cell.rjust(width)
-                  for column, (cell, width) in enumerate(zip(row, widths, strict=True)))
-        for row in (head, *rows)
-    ]  # fmt: skip
-    return "\n".join(line.rstrip() for line in lines)
+    table = Table("", "result", box=None, pad_edge=False)
+    for title in ("contacts", "least [m]", "done [s]", "stops", "replans", "p50 [ms]", "p99 [ms]"):
+        table.add_column(Text(title), justify="right")
+    for name, (_, outcome) in episodes.items():
+        least = f"{outcome.least_distance:.2f}" if np.isfinite(outcome.least_distance) else "–"
+        counts = (outcome.contacts, least, f"{outcome.time_to_done:.1f}", outcome.stops, outcome.replans)
+        latencies = (f"{outcome.latency_p50:.1f}", f"{outcome.latency_p99:.1f}")
+        table.add_row(name, outcome.result, *map(str, counts), *latencies)
+    return plain(table)

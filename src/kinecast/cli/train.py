@@ -8,12 +8,12 @@ from kinecast.cli.options import (
     File,
     FormatName,
     MethodName,
-    SceneFile,
+    OptionalFile,
     What,
+    check_file,
     check_seed,
     worker_pool,
 )
-from kinecast.cli.output_paths import check_file
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import read_recordings
 from kinecast.datasets.windows import WindowOptions
@@ -31,7 +31,7 @@ def train(
     window: float = 0.2,
     horizon: float = 0.5,
     label: Action = None,
-    scene: SceneFile = None,
+    scene: OptionalFile = None,
     seed: int = 0,
     format: FormatName = None,
     cluster: ClusterPlace = None,
@@ -41,14 +41,12 @@ def train(
     Args:
         paths: recordings, or folders of them.
         out: the model file, ending in .npz.
-        method: name of the method.
         rate: frames per second the model works at.
         window: how much is observed [s].
         horizon: how much is predicted [s].
         label: train only where the recordings' label is this action.
         scene: obstacles, a YAML file; windows that end inside one are left out.
         seed: of everything random.
-        format: read recordings as this format instead of finding it by content.
         cluster: spread the work over a Dask cluster that you trust: a scheduler's address, or N processes of this
             machine. The model is the same to the last bit.
     """

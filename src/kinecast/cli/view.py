@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinecast.cli.progress import compiling
-from kinecast.cli.simulate import Cast, closing_table, sentence, write
+from kinecast.cli.simulate import SimulationConfig, closing_table, sentence, write
 from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import PREDICTORS, SCENARIOS, Forecasters, simulate_scenario
@@ -21,14 +21,14 @@ from kinecast.view.viewer import Viewer
 RECORDED = "recorded person"
 
 
-def serve(host: str, port: int, scenario: str, predictor: str, cast: Cast, out: Path | None) -> None:
+def serve(host: str, port: int, scenario: str, predictor: str, config: SimulationConfig, out: Path | None) -> None:
     """Simulates and shows until Ctrl-C.
 
     Args:
         host, port: where it listens.
         scenario: shown first; "all" begins with the first.
         predictor: at first.
-        cast: who comes.
+        config: who comes.
         out: folder for what each finished run leaves; nothing is written without.
 
     Raises:
@@ -37,7 +37,7 @@ def serve(host: str, port: int, scenario: str, predictor: str, cast: Cast, out: 
     check_address(host, port, f"--host {host} --port {port}")
     if predictor not in PREDICTORS:
         raise OptionError(f"--predictor {predictor}: allowed are {', '.join(PREDICTORS)}")
-    player, forecasters = cast.player(), Forecasters(cast.samples)
+    player, forecasters = config.player(), Forecasters(config.samples)
     scenarios = tuple(SCENARIOS) if player is None else (RECORDED,)
 
     def make(setting: Setting) -> Simulation:
@@ -45,7 +45,7 @@ def serve(host: str, port: int, scenario: str, predictor: str, cast: Cast, out: 
         print(f"{setting.scenario}, {setting.predictor}, {100 * setting.level:g} %", flush=True)
         options = SupervisorOptions(occupancy=OccupancyOptions(level=setting.level))
         with compiling():
-            return simulate_scenario(name, setting.predictor, cast.seed, forecasters, player, options)
+            return simulate_scenario(name, setting.predictor, config.seed, forecasters, player, options)
 
     def tell(decision: Decision) -> None:
         print(sentence(decision), flush=True)
@@ -55,7 +55,7 @@ def serve(host: str, port: int, scenario: str, predictor: str, cast: Cast, out: 
         episodes = {setting.scenario: (simulation.episode, outcome)}
         print(closing_table(episodes), flush=True)
         if out is not None:
-            write(out, episodes, {**cast.settings(setting.scenario, setting.predictor), "level": setting.level})
+            write(out, episodes, {**config.settings(setting.scenario, setting.predictor), "level": setting.level})
         contacts = "no contact" if outcome.contacts == 0 else f"{outcome.contacts} contacts"
         return f"{outcome.result} after {outcome.time_to_done:.1f} s, {contacts}"
 

@@ -12,15 +12,12 @@ and its unbiased energy score takes all pairs of samples, a second and more a wi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import sqrt
 from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
-
-from kinecast.errors import OptionError
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """The shares of probability at which coverage is reported."""
@@ -130,11 +127,9 @@ def kde_nll(samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J
 
 
 def regions(
-    samples: Float[np.ndarray, "S T J 3"],
-    truth: Float[np.ndarray, "T J 3"],
-    levels: Sequence[float] = LEVELS,
+    samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"]
 ) -> tuple[Bool[np.ndarray, "L T J"], Float[np.ndarray, "L T J"], Float[np.ndarray, "L T J"]]:
-    """Ellipsoids that hold a share of the samples: is the truth inside, and how large are they?
+    """Ellipsoids that hold each of `LEVELS` of the samples: is the truth inside, and how large are they?
 
     The ellipsoid of a joint and step has the samples' mean and covariance, and is scaled through the
     ⌈level (S + 1)⌉-th nearest sample (the farthest at most): the rank that one more draw falls below with
@@ -143,29 +138,23 @@ def regions(
     Args:
         samples: (S, T, J, 3) predicted positions [m].
         truth: (T, J, 3) positions that came [m].
-        levels: shares of probability, each in (0, 1).
 
     Returns:
         (L, T, J) whether the truth is inside, False where it is missing (mask with `scored`);
         (L, T, J) volumes [m^3], zero for samples without spread; and
         (L, T, J) by what its radius must be multiplied for the region to just reach the truth, NaN where it is missing.
-
-    Raises:
-        OptionError: a level outside (0, 1).
     """
-    if not all(0.0 < level < 1.0 for level in levels):
-        raise OptionError(f"levels {list(levels)} are outside (0, 1)")
     cells = _cells(samples)
     mean, whitening, log_det = _ellipsoids(cells)
     nearness = np.sort(_squared_distances(cells, mean, whitening), axis=-1)
     reached = _squared_distances(truth.reshape(-1, 3, 1), mean, whitening)[:, 0]
     count = nearness.shape[-1]
-    ranks = np.ceil(np.asarray(levels) * (count + 1) - 1e-9).astype(int) - 1
+    ranks = np.ceil(np.array(LEVELS) * (count + 1) - 1e-9).astype(int) - 1
     squared_radius = nearness[:, np.minimum(ranks, count - 1)].T
     volume = 4.0 / 3.0 * np.pi * squared_radius**1.5 * np.exp(0.5 * log_det)
     with np.errstate(divide="ignore", invalid="ignore"):
         stretch = np.sqrt(reached / squared_radius)
-    shape = (len(levels), *truth.shape[:-1])
+    shape = (len(LEVELS), *truth.shape[:-1])
     return (reached <= squared_radius).reshape(shape), volume.reshape(shape), stretch.reshape(shape)
 
 

@@ -57,7 +57,7 @@ class TestRecording:
     observations: Sequence[Observation]
     future: Float[np.ndarray, "W T 6 3"]
     frames: Int[np.ndarray, " W"]
-    history: Sequence[tuple[int, Observation, Float[np.ndarray, "6 3"]]] = ()
+    history: Sequence[tuple[int, Observation, Float[np.ndarray, "6 3"]]]
 
     @classmethod
     def of(cls, parts: Sequence[Windows], histories: Sequence[Windows]) -> list[TestRecording]:
@@ -108,7 +108,7 @@ def evaluate(
     """
     workers = workers or Serial()
     owner = np.concatenate([np.full(len(r.observations), k) for k, r in enumerate(recordings)])
-    repeated = _repeated(owner, options)
+    repeated = _repeated(owner, len(recordings), options)
     shared = [workers.submit(given, recording) for recording in recordings]
     truth = [workers.submit(_broken_by_truth, each, scene, options.limits) for each in shared]
     tasks = {
@@ -232,11 +232,11 @@ def score_recording(
     return scores
 
 
-def _repeated(owner: Int[np.ndarray, " W"], options: EvaluationOptions) -> list[frozenset[int]]:
+def _repeated(owner: Int[np.ndarray, " W"], recordings: int, options: EvaluationOptions) -> list[frozenset[int]]:
     """Per recording, rows of the windows whose NLL is taken again."""
     count = min(options.repeat_windows, len(owner)) if options.repeats else 0
     again = np.linspace(0, len(owner) - 1, count).astype(int)
-    first = np.searchsorted(owner, np.arange(owner.max(initial=-1) + 1))
+    first = np.searchsorted(owner, np.arange(recordings))
     return [frozenset((again[owner[again] == k] - start).tolist()) for k, start in enumerate(first.tolist())]
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -170,15 +170,21 @@ def _recording(track: _Track, about: Description) -> Recording:
     positions: Float[np.ndarray, "N J 3"] = np.full((len(track.frames), len(places), 3), np.nan)
     for row, frame in zip(positions, track.frames, strict=True):
         row[[places[joint] for joint in frame.joints]] = frame.positions
-    content = asdict(about) | {
-        "joints": tuple(about.joints),
-        "source": None if about.source is None else Path(about.source),
-        "notes": tuple(about.notes),
-        "stamps": np.array([frame.stamp for frame in track.frames]),
-        "positions": positions,
-        "labels": None if set(track.labels) == {None} else tuple(label or "" for label in track.labels),
-    }
-    return Recording(**content)
+    labelled = set(track.labels) != {None} if about.labelled is None else about.labelled
+    return Recording(
+        name=about.name,
+        joints=tuple(about.joints),
+        stamps=np.array([frame.stamp for frame in track.frames]),
+        positions=positions,
+        rate=about.rate,
+        source=None if about.source is None else Path(about.source),
+        format=about.format,
+        person=about.person,
+        subject=about.subject,
+        task=about.task,
+        labels=tuple(label or "" for label in track.labels) if labelled else None,
+        notes=tuple(about.notes),
+    )
 
 
 def _lines(path: Path) -> Iterator[tuple[str, bytes]]:

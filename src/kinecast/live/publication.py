@@ -13,7 +13,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
 _GREEN, _AMBER, _RED = (0.25, 0.75, 0.35), (0.95, 0.65, 0.15), (0.9, 0.2, 0.2)
-UPPER_TRIANGLE = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
+UPPER_TRIANGLE = np.triu_indices(3)
 """Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
 TENTH_OF_MILLIMETRE = 4
 """Decimals of a position in metres; twice as many for a variance."""
@@ -47,7 +47,7 @@ class Publication:
     def message(self) -> dict[str, Any]:
         """As in docs/live.md; NaN where nothing is known, which JSON has as null."""
         prediction, tubes = self.prediction, self.tubes
-        covariance = prediction.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
+        covariance = prediction.covariance[..., *UPPER_TRIANGLE]
         return {
             "kind": "prediction",
             "version": 1,
@@ -65,9 +65,7 @@ class Publication:
             "covariance": np.round(covariance, 2 * TENTH_OF_MILLIMETRE).tolist(),
             "tubes": {
                 "level": tubes.level,
-                "start": _metres(tubes.start),
-                "end": _metres(tubes.end),
-                "radius": _metres(tubes.radius),
+                **{part: _metres(getattr(tubes, part)) for part in ("start", "end", "radius")},
             },
             "goals": {hand: dict(goals) for hand, goals in prediction.goals.items()},
         }

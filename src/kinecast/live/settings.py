@@ -10,11 +10,7 @@ from kinecast.errors import OptionError
 
 
 def settings_of(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]:
-    """The settings in the query of a SOURCE or SINK, `name=value` with `&` between them.
-
-    Raises:
-        OptionError: one has a name that is not allowed.
-    """
+    """Those in the query of a SOURCE or SINK, `name=value` with `&` between; OptionError for a name not allowed."""
     found = dict(parse_qsl(query, keep_blank_values=True))
     unknown = sorted(set(found) - set(allowed))
     if unknown or (query and not found):
@@ -23,11 +19,7 @@ def settings_of(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, st
 
 
 def choice(settings: Mapping[str, str], name: str, allowed: tuple[str, ...], text: str) -> str | None:
-    """One of the settings, None where it is not given.
-
-    Raises:
-        OptionError: it is none of those allowed.
-    """
+    """One of the settings, None where it is not given; OptionError unless it is one of those allowed."""
     value = settings.get(name)
     if value not in (None, *allowed):
         raise OptionError(f"{text}: {name} {value!r}, allowed are {', '.join(allowed)}")
@@ -37,11 +29,7 @@ def choice(settings: Mapping[str, str], name: str, allowed: tuple[str, ...], tex
 def number(
     settings: Mapping[str, str], name: str, default: float, text: str, low: float = -math.inf, high: float = math.inf
 ) -> float:
-    """One of the settings, as a number; without a range, whoever takes it checks that.
-
-    Raises:
-        OptionError: it is no number, or outside its range.
-    """
+    """One of the settings as a number, OptionError for others; without a range, whoever takes it checks that."""
     try:
         value = float(settings.get(name, default))
     except ValueError:

@@ -8,7 +8,6 @@ import scoringrules
 from scipy.special import ndtr
 from scipy.stats import chi2, gaussian_kde
 
-from kinecast.errors import OptionError
 from kinecast.evaluation import metrics
 from kinecast.evaluation.metrics import (
     crps,
@@ -176,11 +175,11 @@ def test_regions_without_truth_or_samples() -> None:
     samples, truth = correlated(np.random.default_rng(11), 40)
     truth[0, 0, 0] = np.nan
     samples[7, 1, 1] = np.nan
-    inside, volume, _ = regions(samples, truth, levels=(0.9,))
-    assert not inside[0, 0, 0]
-    assert not inside[0, 1, 1]
-    assert np.isfinite(volume[0, 0, 0])
-    assert np.isnan(volume[0, 1, 1])
+    inside, volume, _ = regions(samples, truth)
+    assert not inside[:, 0, 0].any()
+    assert not inside[:, 1, 1].any()
+    assert np.isfinite(volume[:, 0, 0]).all()
+    assert np.isnan(volume[:, 1, 1]).all()
 
 
 def test_coverage_of_a_gaussian_is_the_level_within_its_standard_error() -> None:
@@ -210,16 +209,10 @@ def test_regions_follow_the_samples_shape() -> None:
     truth = np.zeros((2, 6, 3))
     truth[0, :, 0] = 0.3
     truth[1, :, 1] = 0.1
-    inside, _, _ = regions(samples, truth, levels=(0.9,))
-    assert inside[0, 0].all()
-    assert not inside[0, 1].any()
-
-
-@pytest.mark.parametrize("level", [0.0, 1.0, -0.1, np.nan])
-def test_levels_outside_the_unit_interval_are_refused(level: float) -> None:
-    samples, truth = correlated(np.random.default_rng(15), 5)
-    with pytest.raises(OptionError, match="levels"):
-        regions(samples, truth, levels=(0.5, level))
+    inside, _, _ = regions(samples, truth)
+    most = metrics.LEVELS.index(0.9)
+    assert inside[most, 0].all()
+    assert not inside[most, 1].any()
 
 
 def test_scores_leave_their_inputs_alone() -> None:

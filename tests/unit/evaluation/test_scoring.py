@@ -17,9 +17,10 @@ from kinecast.evaluation.metrics import LEVELS
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
+from kinecast.prediction.density import PoseDensity
 from kinecast.prediction.gaussian import PositionGaussian
 from kinecast.prediction.linear import constant_velocity, zero_velocity
-from kinecast.prediction.method import Forecast
+from kinecast.prediction.method import Forecast, Memoryless
 from kinecast.prediction.observation import Observation
 
 DT, N, T = 0.1, 4, 3
@@ -38,7 +39,13 @@ def gliding(speed: float, windows: int = 12, name: str = "a", noise: float = 0.0
         frames = ARMS + step * (k + np.arange(1 - N, T + 1))[:, None, None]
         seen.append(Observation(frames[:N], UP, DT, k * DT))
         future.append(frames[N:] + noise * rng.standard_normal((T, 6, 3)))
-    return TestRecording(name, seen, np.array(future).reshape(-1, T, 6, 3), np.arange(windows))
+    return recorded(name, seen, np.array(future).reshape(-1, T, 6, 3))
+
+
+def recorded(name: str, seen: list[Observation], future: np.ndarray) -> TestRecording:
+    """A recording of which every frame is scored."""
+    history = [(k, each, each.positions[-1]) for k, each in enumerate(seen)]
+    return TestRecording(name, seen, future, np.arange(len(seen)), history)
 
 
 def gaussian(moving: bool, spread: float) -> PositionGaussian:
@@ -48,7 +55,7 @@ def gaussian(moving: bool, spread: float) -> PositionGaussian:
 
 
 @dataclass(frozen=True)
-class Fixed:
+class Fixed(Memoryless):
     """A method that always says the same, whatever it sees."""
 
     motions: Callable[[Observation], np.ndarray]
@@ -56,14 +63,12 @@ class Fixed:
     steps: int = T
     dt: float = DT
 
-    def forecast(
-        self, observation: Observation, rng: np.random.Generator, samples: int, scene: Scene | None = None
-    ) -> Forecast:
-        del rng, samples, scene
+    def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         motions = self.motions(observation)
-        density = gaussian(False, 0.1).forecast(observation, np.random.default_rng(0), 1).density
-        assert isinstance(density, WorldDensity)
-        return Forecast(motions, motions.mean(axis=0), density, np.linspace(1.0, 0.5, T), 7)
+        density = gaussian(False, 0.1).forecast(None, observation, np.random.default_rng(0), 1).density
+        assert isinstance(density, PoseDensity)
+        accepted = np.linspace(1.0, 0.5, T)
+        return Forecast(motions, motions.mean(axis=0), density, accepted=accepted, distinct=7)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         return {}
@@ -133,7 +138,7 @@ def test_violations_are_counted_from_positions() -> None:
         return np.stack([still, slow, beyond, fast, hitting])
 
     seen = Observation(np.repeat(ARMS[None], N, axis=0), UP, DT)
-    still = TestRecording("still", [seen] * 3, np.full((3, T, 6, 3), np.nan), np.arange(3))
+    still = recorded("still", [seen] * 3, np.full((3, T, 6, 3), np.nan))
     still.future[0] = motions(seen)[2]
     still.future[1] = motions(seen)[0]
     results, _ = evaluate(
@@ -224,35 +229,29 @@ def test_latencies_are_those_of_forecasts() -> None:
     assert 0.0 < score["latency_ms"]["p50"] <= score["latency_ms"]["p99"] < 5000.0
 
 
-class Follower(Fixed):
-    """Remembers which frames it was shown, and says in its samples how many."""
+class Remembering(Fixed):
+    """Remembers which frames it was shown."""
 
-    def memory(self) -> list[float]:
+    def init_state(self) -> list[float]:
         return []
 
-    def follow(self, memory: list[float], observation: Observation, measured: np.ndarray) -> None:
+    def update(self, state: list[float], observation: Observation, measured: np.ndarray) -> list[float]:
         assert np.isnan(measured).all() or np.array_equal(measured, observation.positions[-1])
-        memory.append(observation.stamp)
+        return [*state, observation.stamp]
 
     def forecast(
-        self,
-        observation: Observation,
-        rng: np.random.Generator,
-        samples: int,
-        scene: Scene | None = None,
-        memory: list[float] | None = None,
+        self, state: list[float], observation: Observation, rng: np.random.Generator, samples: int
     ) -> Forecast:
-        if memory is not None:
-            # Every frame up to this window's last, in order, and none after it.
-            assert memory == [k * DT for k in range(round(observation.stamp / DT) + 1)]
-        return super().forecast(observation, rng, samples, scene)
+        # Every frame up to this window's last, in order, and none after it.
+        assert state == [k * DT for k in range(round(observation.stamp / DT) + 1)]
+        return super().forecast(None, observation, rng, samples)
 
 
-def test_methods_that_follow_a_person_see_every_frame_and_none_too_many() -> None:
+def test_methods_see_every_frame_and_none_too_many() -> None:
     every = gliding(0.5, 12)
     history = [(k, seen, seen.positions[-1]) for k, seen in enumerate(every.observations)]
     third = TestRecording("a", every.observations[2::3], every.future[2::3], np.arange(2, 12, 3), history)
-    still = Follower(lambda o: np.repeat(np.repeat(o.positions[-1:], T, axis=0)[None], 3, axis=0))
+    still = Remembering(lambda o: np.repeat(np.repeat(o.positions[-1:], T, axis=0)[None], 3, axis=0))
     score = evaluate({"m": still}, [third, third], None, QUICK)[0]["methods"]["m"]
     assert score["mpjpe_mm"] == pytest.approx(100.0)
     assert score["recordings"]["a"]["windows"] == 4

@@ -205,7 +205,7 @@ def expert_from_arrays(arrays: Mapping[str, np.ndarray]) -> Expert:
     return RadialBasis(scale=scale, lengthscale=lengthscale, **own)
 
 
-class _Examples:
+class ExpertExamples:
     """Both arms' views of windows, with what came in the arm's axes and as coefficients of the time basis."""
 
     def __init__(self, observed: Float[np.ndarray, "W N 6 3"], future: Float[np.ndarray, "W T 6 3"]) -> None:
@@ -230,7 +230,7 @@ def fit_radial_basis(
     """
     from kinecast.prediction.sparse_gp import centres
 
-    data = _Examples(observed, future)
+    data = ExpertExamples(observed, future)
     count = len(data.features)
     steps = data.features[:, :-20]
     mean = steps.mean(axis=0)
@@ -266,7 +266,7 @@ def fit_radial_basis(
     return model
 
 
-def _reweighted(model: RadialBasis, data: _Examples, rows: slice) -> Float[np.ndarray, " R"]:
+def _reweighted(model: RadialBasis, data: ExpertExamples, rows: slice) -> Float[np.ndarray, " R"]:
     """Amplitude squared over the mean distance: the weight that makes a square a distance."""
     coefficients = model.coefficients(data.features[rows])
     made = data.basis @ coefficients.reshape(len(coefficients), -1, 9) * data.amplitude[rows, None, None]
@@ -281,7 +281,7 @@ def fit_network(
     """Multilayer perceptron beside a linear skip that starts from ridge; mean distance as loss."""
     from kinecast.prediction.descent import descend
 
-    data = _Examples(observed, future)
+    data = ExpertExamples(observed, future)
     inputs, outputs = data.features.shape[1], data.coefficients.shape[1]
     seen = data.features[:, : inputs - 2]
     weight = data.amplitude[:, None]
