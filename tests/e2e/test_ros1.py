@@ -257,7 +257,7 @@ def test_skeletons_in_and_predictions_out(start: Callable[..., Any], ros: dict[s
 
 def test_without_a_master_it_says_so(ros: dict[str, str]) -> None:
     environment = os.environ | ros | {"ROS_MASTER_URI": f"http://localhost:{free_port()}"}
-    opening = "from kinecast.ros.ros1 import Ros1Transport; Ros1Transport()"
+    opening = "from kinecast.ros.nodes import Ros1Transport; Ros1Transport()"
     done = subprocess.run(
         (sys.executable, "-c", opening), env=environment, capture_output=True, text=True, timeout=LONG, check=False
     )

@@ -47,19 +47,13 @@ class Extrinsics:
 def find_intrinsics(name: str, views: Mapping[str, Corners], size: tuple[int, int]) -> tuple[Intrinsics, float, float]:
     """The lens of a camera of this name from what it sees in pictures of this size; distortion is k1 and k2.
 
-    Returns:
-        The lens, the root mean square distance of corners from where they should appear [px], and the standard
-        deviation of focal length and principal point, the largest of the four [px].
-
-    Raises:
-        DatasetError: too few pictures.
+    Beside it the root mean square distance of corners from where they should appear [px], and the standard deviation of
+    focal length and principal point, the largest of the four [px]. A DatasetError for too few pictures.
     """
     if len(views) < FEWEST_PICTURES:
-        raise DatasetError(
-            name, f"the board is seen in {len(views)} pictures, at least {FEWEST_PICTURES} are needed for its lens"
-        )
-    points = [each.points.astype(np.float32) for each in views.values()]
-    pixels = [each.pixels.astype(np.float32) for each in views.values()]
+        enough = f"at least {FEWEST_PICTURES} are needed for its lens"
+        raise DatasetError(name, f"the board is seen in {len(views)} pictures, {enough}")
+    points, pixels = zip(*((c.points.astype("f4"), c.pixels.astype("f4")) for c in views.values()), strict=True)
     flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST  # what few pictures tell, and lenses of today have
     error, matrix, found, _, _, std, *_ = cv2.calibrateCameraExtended(
         points, pixels, size, np.eye(3), np.zeros(5), flags=flags
@@ -72,22 +66,15 @@ def find_intrinsics(name: str, views: Mapping[str, Corners], size: tuple[int, in
 def find_extrinsics(
     lenses: Mapping[str, Intrinsics], views: Views, origin: str, T_world_board: Float[np.ndarray, "4 4"]
 ) -> Extrinsics:
-    """Where cameras stand in the world.
+    """Where cameras stand in the world, from their lenses and what each sees.
 
-    Args:
-        lenses: per camera.
-        views: what each sees.
-        origin: the moment in which the board lies where the world begins.
-        T_world_board: how the world lies against the board then.
-
-    Raises:
-        DatasetError: a camera shares no moment with the others, or none saw the board at the origin.
+    The board lies at T_world_board (4, 4) in the moment `origin`. A DatasetError where a camera shares no moment with
+    the others, or none saw the board at the origin.
     """
     T_camera_board = {name: {m: _board_pose(lenses[name], c) for m, c in views[name].items()} for name in lenses}
     if not any(origin in each for each in T_camera_board.values()):
-        raise DatasetError(
-            origin, "the board is not seen in this picture, in which it should lie where the world begins"
-        )
+        where = "in which it should lie where the world begins"
+        raise DatasetError(origin, f"the board is not seen in this picture, {where}")
     cameras = _chained(T_camera_board)
     seen: dict[str, list[np.ndarray]] = {}
     for name, poses in T_camera_board.items():
@@ -104,9 +91,8 @@ def find_extrinsics(
             break
         left_out[worst[0]].append(worst[1])
     if not any(moment == origin for _, moment in errors):
-        raise DatasetError(
-            origin, "the board is seen so badly in this picture that it cannot say where the world begins"
-        )
+        badly = "so badly in this picture that it cannot say where the world begins"
+        raise DatasetError(origin, f"the board is seen {badly}")
     T_world = T_world_board @ inverse(boards[origin])
     error = {name: float(np.sqrt(np.mean([e**2 for (c, _), e in errors.items() if c == name]))) for name in lenses}
     return Extrinsics({name: T_world @ T for name, T in cameras.items()}, error, std, left_out)
@@ -120,11 +106,7 @@ def _board_pose(lens: Intrinsics, corners: Corners) -> Float[np.ndarray, "4 4"]:
 
 
 def _chained(T_camera_board: Mapping[str, Mapping[str, np.ndarray]]) -> Poses:
-    """Per camera T_first_camera, one after the other by the ties with most moments in common.
-
-    Raises:
-        DatasetError: a camera has no moment in common with those tied already.
-    """
+    """Per camera T_first_camera, one after the other by the ties with most moments in common."""
     names = list(T_camera_board)
     found = {names[0]: np.eye(4)}
     while len(found) < len(names):
@@ -153,9 +135,8 @@ def _adjusted(
 ) -> tuple[Poses, Poses, dict[str, tuple[float, float]], dict[tuple[str, str], float]]:
     """Bundle adjustment over the poses of all cameras but the first, and of all boards.
 
-    Returns:
-        Per camera T_first_camera, per moment T_first_board, per camera its standard deviation [m], [rad], and per
-        picture the root mean square distance of its corners from where they should appear [px].
+    Gives per camera T_first_camera, per moment T_first_board, per camera its standard deviation [m], [rad], and per
+    picture the root mean square distance of its corners from where they should appear [px].
     """
     names, moments = list(cameras), list(boards)
     pictures = [(name, moment, corners) for name in names for moment, corners in views[name].items()]

@@ -21,6 +21,7 @@ except ImportError as error:  # pragma: no cover - the tests install it
 MARKER = 0.74  # side of a marker, of a square's: white around it as wide as one of its own fields
 DOTS_PER_METRE = 300 / 0.0254
 MARGIN = 0.01  # white around the board [m]
+HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
 LEAST_CORNERS = 6
 
 
@@ -66,7 +67,9 @@ class CharucoBoard:
         words = f"kinecast {self.columns}x{self.rows}, squares of {1e3 * self.square:g} mm: print at 100 %, keep flat"
         place = (margin, page.shape[0] - margin // 2)
         cv2.putText(page, words, place, cv2.FONT_HERSHEY_SIMPLEX, margin / 90, 0, max(margin // 50, 1), cv2.LINE_AA)
-        return _with_resolution(cv2.imencode(".png", page)[1].tobytes(), round(per_square / self.square))
+        png, per_metre = cv2.imencode(".png", page)[1].tobytes(), round(per_square / self.square)
+        size = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)  # viewers print it at that size
+        return png[:HEADER] + struct.pack(">I", 9) + size + struct.pack(">I", zlib.crc32(size)) + png[HEADER:]
 
     def corners(self, picture: UInt8[np.ndarray, "H W"]) -> Corners | None:
         """The board's inner corners in a grey picture; None where fewer than six are seen, or all in one row."""
@@ -83,10 +86,3 @@ class CharucoBoard:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         return cv2.aruco.CharucoDetector(self.pattern, detectorParams=parameters)
-
-
-def _with_resolution(png: bytes, per_metre: int) -> bytes:
-    """The same PNG with its pHYs chunk, behind the header: viewers print it at that size."""
-    content = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)
-    header = 8 + 25
-    return png[:header] + struct.pack(">I", 9) + content + struct.pack(">I", zlib.crc32(content)) + png[header:]

@@ -27,13 +27,9 @@ DISPARITY_STD = 0.08
 
 
 def stereo_noise(focal: float = 424.0, baseline: float = 0.050) -> float:
-    """Standard deviation of a depth from two images, by its square: s / (f · b) [1/m].
+    """Standard deviation of a depth from two images of a focal length [px], by its square: s / (f · b) [1/m].
 
     Source: Intel, Tuning depth cameras for best performance.
-
-    Args:
-        focal: of the images [px].
-        baseline: between them [m].
     """
     return DISPARITY_STD / (focal * baseline)
 
@@ -48,16 +44,10 @@ class DepthImage:
     noise: float  # see `stereo_noise`
 
     def at(self, pixels: Float[np.ndarray, "J 2"]) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " J"]]:
-        """Depths of the surfaces of one person.
+        """(J,) depths at the keypoints of one person, NaN where none is believed, and their standard deviations [m].
 
         Depths around a keypoint are split where there is a gap, and the nearest part that is no speck is the limb: its
         median counts. One far from the person's others is of something else.
-
-        Args:
-            pixels: (J, 2) keypoints of one person [px]; NaN where there is none.
-
-        Returns:
-            (J,) depths [m], NaN where none is believed, and (J,) their standard deviations [m].
         """
         coarse = np.concatenate([self._patch(pixel, LEAST_RADIUS) for pixel in pixels])
         if not len(coarse):
@@ -97,20 +87,14 @@ def detection_of(
     return Detection(stamp, camera, joints, pixels, keypoints.pixel_std, depth, depth_std, keypoints.confidence, person)
 
 
-def lifted(seen: Detection, camera: PinholeCamera, frame_id: str = "world") -> SkeletonFrame:
-    """A skeleton from one camera alone: (J, 3) joints behind the skin, along the ray that they are seen on.
+def lifted(seen: Detection, camera: PinholeCamera) -> SkeletonFrame:
+    """A skeleton from one camera alone, in its z-up world: joints behind the skin, along the ray that they are seen on.
 
-    Args:
-        seen: by that camera; joints without a depth are not seen (NaN).
-        camera: at its place in a z-up world.
-        frame_id: name of that world.
-
-    Returns:
-        The frame with Σ = J diag(σ_px², σ_px², σ_d²) Jᵀ of each joint (`PinholeCamera.covariance`), and √(tr Σ / 3).
+    Joints without a depth are not seen (NaN); the covariance is `PinholeCamera.covariance`.
     """
     skin = camera.back_project(seen.pixels, seen.depth)
     positions = skin + camera.rays(seen.pixels) * skin_depths(seen.joints)[:, None]
     positions[~(seen.confidence >= LEAST_CONFIDENCE)] = np.nan
     covariance = camera.covariance(positions, seen.pixel_std, np.hypot(seen.depth_std, SKIN_STD))
     std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
-    return SkeletonFrame(seen.stamp, seen.joints, positions, seen.person, frame_id, std, covariance)
+    return SkeletonFrame(seen.stamp, seen.joints, positions, seen.person, std=std, covariance=covariance)

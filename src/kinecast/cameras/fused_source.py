@@ -19,7 +19,7 @@ GATHER = 0.004  # people of one image who come in messages of their own come wit
 PATIENCE = 0.05  # after so long without any image [s] a round ends without the cameras that are missing
 JUDGE, MOST_THROWN_OUT = 10.0, 30
 """How often cameras are judged [s], and how many of a camera's views may be thrown out until then."""
-LOOK = 0.1  # longest wait before looking whether to end [s]
+LOOK, CLOSING = 0.1, 5.0  # longest waits before looking whether to end, and for the end [s]
 
 log = logging.getLogger(__name__)
 
@@ -57,11 +57,7 @@ class FusedSource:
         self._epoch = time.time() - time.monotonic()
 
     def handler(self, camera: str, feed: Feed) -> DetectionHandler:
-        """What a source of that camera of the rig gives its images to, which are counted in its feed.
-
-        Raises:
-            OptionError: the rig has no such camera.
-        """
+        """What a source of that camera of the rig gives its images to, counted in its feed; else an OptionError."""
         if camera not in self.rig.cameras:
             known = ", ".join(self.rig.cameras)
             raise OptionError(f"{feed.name}: camera {camera!r} is not in the rig, which has {known}")
@@ -95,7 +91,7 @@ class FusedSource:
             self._stop = True
             self._changed.notify()
         if self._thread:
-            self._thread.join()
+            self._thread.join(CLOSING)
 
     def _put(self, image: _Image) -> None:
         image.feed.received += 1
@@ -138,18 +134,17 @@ class FusedSource:
 
     def _fuse(self, images: Sequence[_Image]) -> None:
         now = time.monotonic()
+        frames: list[SkeletonFrame] = []
         for image in images:
             self._progress = now
-            self._publish(self.fusion.add(image.camera, image.acquired, image.people))
+            frames += self.fusion.add(image.camera, image.acquired, image.people)
         if self.fusion.waiting and now - self._progress > PATIENCE:
-            self._publish(self.fusion.finish())
+            frames += self.fusion.finish()
+        for frame in frames:
+            self._feed.put(replace(frame, stamp=frame.stamp + self._epoch), frame.stamp)
         if now - self._judged > JUDGE:
             self._judged = now
             self._judge()
-
-    def _publish(self, frames: Sequence[SkeletonFrame]) -> None:
-        for frame in frames:
-            self._feed.put(replace(frame, stamp=frame.stamp + self._epoch), frame.stamp)
 
     def _judge(self) -> None:
         """Names cameras whose views were mostly thrown out lately: they may have been moved."""

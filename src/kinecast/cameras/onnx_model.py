@@ -24,17 +24,10 @@ THREADS = 2
 
 
 class ImageModel:
-    """A network that takes one image: float32 (1, 3, height, width).
+    """A network that takes one image: float32 (1, 3, height, width); names of its outputs, and a sample, for zeros.
 
-    Nothing but the file itself is read: a network that keeps its weights in other files is refused by onnxruntime.
-
-    Attributes:
-        width, height: of the image it takes [px].
-        outputs: names.
-        sample: what it gives for an image of zeros.
-
-    Raises:
-        ModelError: it cannot be read, is none, takes something else, or fails.
+    Nothing but the file itself is read: a network that keeps its weights in other files is refused by onnxruntime. A
+    ModelError where it cannot be read, is none, takes something else, or fails.
     """
 
     def __init__(self, path: Path) -> None:
@@ -58,13 +51,9 @@ class ImageModel:
     def window(
         self, image: UInt8[np.ndarray, "h w 3"], corner: Float[np.ndarray, " 2"], scale: float, outside: int = 0
     ) -> Float[np.ndarray, "h2 w2 3"]:
-        """The part of an RGB image that the network is shown.
+        """The part of an RGB image that the network is shown, with a value outside.
 
-        Args:
-            image: of any size.
-            corner: where the part's first pixel is in the image [px].
-            scale: pixels of the image in one of the network's.
-            outside: value beyond the image.
+        Its first pixel is at the corner [px]; `scale` pixels of the image are one of the network's.
         """
         back = np.array([[scale, 0.0, corner[0]], [0.0, scale, corner[1]]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -73,11 +62,7 @@ class ImageModel:
         return shown.astype(np.float32)
 
     def run(self, content: Float[np.ndarray, "h w 3"]) -> list[Shaped[np.ndarray, "..."]]:
-        """Every output for a `window`, in the colours that the network was trained on.
-
-        Raises:
-            ModelError: it fails, or gives more than is believed.
-        """
+        """Every output for a `window`, in the colours that it was trained on; a ModelError where the network fails."""
         content = np.ascontiguousarray(content.transpose(2, 0, 1))[None]
         try:
             outputs = self._session.run(None, {self._input: content})

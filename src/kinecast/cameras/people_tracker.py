@@ -34,11 +34,7 @@ MARGIN = 1.25
 
 
 class PersonDetector:
-    """Boxes around people, by RTMDet or YOLOX: `rtmdet` or `yolox` in the name of its ONNX file tells which.
-
-    Raises:
-        ModelError: it is no such network.
-    """
+    """Boxes around people, by RTMDet or YOLOX: `rtmdet` or `yolox` in the name of its ONNX file tells which."""
 
     def __init__(self, path: Path) -> None:
         name = path.name.lower()
@@ -47,30 +43,30 @@ class PersonDetector:
         self._yolox = "yolox" in name
         self._model = ImageModel(path)
         shape = self._model.sample[0].shape
-        rows = [
-            (column, row, stride)
-            for stride in STRIDES
-            for row in range(self._model.height // stride)
-            for column in range(self._model.width // stride)
-        ]
-        self._cells: Float[np.ndarray, "C 3"] = np.array(rows, dtype=np.float64)
-        self._plain = self._yolox and len(shape) == 3 and shape[1] == len(rows) and shape[2] >= 6
+        cells = []
+        for stride in STRIDES:
+            rows, columns = np.indices((self._model.height // stride, self._model.width // stride)).reshape(2, -1)
+            cells.append(np.stack([columns, rows, np.full(len(rows), stride)], axis=1))
+        self._cells: Float[np.ndarray, "C 3"] = np.concatenate(cells).astype(np.float64)
+        self._plain = self._yolox and len(shape) == 3 and shape[1] == len(self._cells) and shape[2] >= 6
         if not self._plain and not (len(shape) == 3 and shape[0] == 1 and shape[2] == 5):
             raise ModelError(f"{path}: gives {shape}; expected boxes with scores after suppression, or YOLOX's cells")
 
     def find(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "N 4"]:
-        """(N, 4) left, top, right, bottom of people [px] in an RGB image, the surest first.
-
-        Raises:
-            ModelError: the network fails.
-        """
+        """(N, 4) left, top, right, bottom of people [px] in an RGB image, the surest first; may raise a ModelError."""
         high, wide = image.shape[:2]
         scale = max(high / self._model.height, wide / self._model.width)
         content = self._model.window(image, np.full(2, (scale - 1) / 2), scale, GREY)
         if not self._yolox:
             content = (content - IMAGENET_MEAN) / IMAGENET_STD
         outputs = self._model.run(content[..., ::-1])
-        boxes, scores = self._from_cells(outputs[0][0]) if self._plain else _suppressed(outputs)
+        if self._plain:
+            boxes, scores = self._from_cells(outputs[0][0])
+        else:  # a network that ends in non-maximum suppression
+            found = outputs[0][0].astype(np.float64)
+            if len(outputs) > 1 and outputs[1].size == len(found):
+                found = found[outputs[1].ravel() == PERSON]
+            boxes, scores = found[:, :4], found[:, 4]
         boxes = np.clip(boxes * scale, 0.0, (wide, high, wide, high))
         large = (boxes[:, 2:] - boxes[:, :2] >= SMALLEST).all(axis=1)  # also drops what is NaN
         sure = np.flatnonzero(large & (scores >= LEAST_SCORE))
@@ -88,14 +84,6 @@ class PersonDetector:
         middle = (cell[:, :2] + self._cells[few, :2]) * stride
         half = np.exp(np.clip(cell[:, 2:4], -20.0, 20.0)) * stride / 2
         return np.hstack([middle - half, middle + half]), scores[few]
-
-
-def _suppressed(outputs: list[np.ndarray]) -> tuple[Float[np.ndarray, "N 4"], Float[np.ndarray, " N"]]:
-    """Boxes in the network's pixels and scores of people, from a network that ends in non-maximum suppression."""
-    found = outputs[0][0].astype(np.float64)
-    if len(outputs) > 1 and outputs[1].size == len(found):
-        found = found[outputs[1].ravel() == PERSON]
-    return found[:, :4], found[:, 4]
 
 
 def overlaps(box: Float[np.ndarray, " 4"], others: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:
@@ -120,11 +108,7 @@ class PeopleTracker:
         self._since = 0
 
     def update(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Keypoints]:
-        """The keypoints of each person in the next RGB image.
-
-        Raises:
-            ModelError: a network fails.
-        """
+        """The keypoints of each person in the next RGB image; a ModelError where a network fails."""
         self._since += 1
         if not self._boxes or (self._detector is not None and self._since >= DETECT_EVERY):
             self._detect(image)

@@ -14,6 +14,9 @@ from jaxtyping import Float
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse, transform
 
+Numbers = Float[np.ndarray, "*b"]
+Pairs = Float[np.ndarray, "*b 2"]
+Points = Float[np.ndarray, "*b 3"]
 NEAREST = 1e-3  # points nearer to the camera's plane [m], or behind it, have no pixel
 MOST_STEPS, CONVERGED = 20, 1e-9  # Newton steps; the last one in x/z: a millionth of a pixel
 
@@ -40,11 +43,12 @@ class Intrinsics:
         if not np.isfinite((self.cx, self.cy, *self.distortion)).all():
             raise OptionError("principal point and distortion must be finite")
 
-    def pixels(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
+    def pixels(self, directions: Pairs) -> Pairs:
         """(…, 2) pixels of directions x/z, y/z (…, 2)."""
-        return self._distorted(directions) * (self.fx, self.fy) + (self.cx, self.cy)
+        seen = self._distorted(directions)[0] if any(self.distortion) else directions
+        return seen * (self.fx, self.fy) + (self.cx, self.cy)
 
-    def directions(self, pixels: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
+    def directions(self, pixels: Pairs) -> Pairs:
         """(…, 2) directions x/z, y/z that are seen at pixels (…, 2): Newton's method on `pixels`.
 
         NaN where a pixel is NaN, or where no direction leads to it.
@@ -55,45 +59,35 @@ class Intrinsics:
         with np.errstate(all="ignore"):  # what diverges is NaN in the end
             found = seen.copy()
             for _ in range(MOST_STEPS):
-                (a, b), (c, d) = np.moveaxis(self._distortion_jacobian(found), (-2, -1), (0, 1))
-                ex, ey = np.moveaxis(seen - self._distorted(found), -1, 0)
+                shown, J = self._distorted(found)
+                (a, b), (c, d) = np.moveaxis(J, (-2, -1), (0, 1))
+                ex, ey = np.moveaxis(seen - shown, -1, 0)
                 step = np.stack([d * ex - b * ey, a * ey - c * ex], axis=-1) / (a * d - b * c)[..., None]
                 found = found + step
                 if not (np.abs(step) > CONVERGED).any():
                     break
-            found[~(np.abs(self._distorted(found) - seen) < 1e3 * CONVERGED).all(axis=-1)] = np.nan
+            found[~(np.abs(self._distorted(found)[0] - seen) < 1e3 * CONVERGED).all(axis=-1)] = np.nan
         return found
 
-    def jacobian(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
+    def jacobian(self, directions: Pairs) -> Float[np.ndarray, "*b 2 2"]:
         """(…, 2, 2) ∂pixel/∂direction."""
-        return self._distortion_jacobian(directions) * np.array([[self.fx], [self.fy]])
+        return self._distorted(directions)[1] * np.array([[self.fx], [self.fy]])
 
-    def _distorted(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
-        if not any(self.distortion):
-            return directions
+    def _distorted(self, directions: Pairs) -> tuple[Pairs, Float[np.ndarray, "*b 2 2"]]:
+        """Directions times (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) and so on, and the derivative."""
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
         x, y = np.moveaxis(directions, -1, 0)
-        r2, (p1, p2) = x * x + y * y, self.distortion[2:4]
-        radial, _ = self._radial(r2)
+        r2 = x * x + y * y
+        above, below = (1 + r2 * (a + r2 * (b + r2 * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+        rise, fall = (a + r2 * (2 * b + 3 * r2 * c) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+        radial, slope = above / below, (rise * below - above * fall) / (below * below)
         u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        return np.stack([u, v], axis=-1)
-
-    def _distortion_jacobian(self, directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2 2"]:
-        x, y = np.moveaxis(directions, -1, 0)
-        p1, p2 = self.distortion[2:4] or (0.0, 0.0)
-        radial, slope = self._radial(x * x + y * y)
         J = np.empty((*x.shape, 2, 2))
         J[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
         J[..., 0, 1] = J[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
         J[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        return J
-
-    def _radial(self, r2: Float[np.ndarray, "*b"]) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
-        """(1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), and its derivative by r²."""
-        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
-        above, below = (1 + r2 * (a + r2 * (b + r2 * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
-        rise, fall = (a + r2 * (2 * b + 3 * r2 * c) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
-        return above / below, (rise * below - above * fall) / (below * below)
+        return np.stack([u, v], axis=-1), J
 
 
 @dataclass(frozen=True)
@@ -109,7 +103,7 @@ class PinholeCamera:
         """(4, 4) p_camera = T_camera_world · p_world."""
         return inverse(self.T_world_camera)
 
-    def project(self, points: Float[np.ndarray, "*b 3"]) -> tuple[Float[np.ndarray, "*b 2"], Float[np.ndarray, "*b"]]:
+    def project(self, points: Points) -> tuple[Pairs, Numbers]:
         """(…, 2) pixels, also outside the image, NaN behind the camera, and (…) depths [m] of points (…, 3) [m]."""
         local = apply(self.T_camera_world, points)
         depth = local[..., 2]
@@ -117,29 +111,20 @@ class PinholeCamera:
             pixels = self.intrinsics.pixels(local[..., :2] / depth[..., None])
         return np.where((depth > NEAREST)[..., None], pixels, np.nan), depth
 
-    def back_project(
-        self, pixels: Float[np.ndarray, "*b 2"], depth: Float[np.ndarray, "*b"]
-    ) -> Float[np.ndarray, "*b 3"]:
+    def back_project(self, pixels: Pairs, depth: Numbers) -> Points:
         """(…, 3) points in the world [m] seen at pixels (…, 2) at depths (…) [m]."""
         return apply(self.T_world_camera, _homogeneous(self.intrinsics.directions(pixels)) * depth[..., None])
 
-    def rays(self, pixels: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 3"]:
+    def rays(self, pixels: Pairs) -> Points:
         """(…, 3) unit vectors in the world from the camera (`T_world_camera[:3, 3]`) towards what is at pixels."""
         ahead = _homogeneous(self.intrinsics.directions(pixels)) @ self.T_world_camera[:3, :3].T
         return ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
 
-    def covariance(
-        self,
-        points: Float[np.ndarray, "*b 3"],
-        pixel_std: Float[np.ndarray, "*b"],
-        depth_std: Float[np.ndarray, "*b"],
-    ) -> Float[np.ndarray, "*b 3 3"]:
-        """(…, 3, 3) covariance J diag(σ_px², σ_px², σ_depth²) Jᵀ [m²] of back-projected points in the world.
+    def covariance(self, points: Points, pixel_std: Numbers, depth_std: Numbers) -> Float[np.ndarray, "*b 3 3"]:
+        """(…, 3, 3) covariance J diag(σ_px², σ_px², σ_depth²) Jᵀ [m²] of points (…, 3) [m] that `back_project` gave.
 
-        Args:
-            points: (…, 3) what `back_project` gave [m]; the result is NaN where it is NaN or behind the camera.
-            pixel_std: (…) standard deviation of both pixel coordinates [px].
-            depth_std: (…) standard deviation of the depth [m].
+        NaN where a point is NaN or behind the camera. Standard deviations (…) are of both pixel coordinates [px] and of
+        the depth [m].
         """
         local = apply(self.T_camera_world, points)
         z = np.where(local[..., 2] > NEAREST, local[..., 2], np.nan)[..., None]
@@ -155,13 +140,11 @@ class PinholeCamera:
 def level_pose(height: float = 0.0, tilt: float = 0.0) -> Float[np.ndarray, "4 4"]:
     """(4, 4) T_world_camera of a camera that is not calibrated: upright, in a world with x to its right and y ahead.
 
-    Args:
-        height: above the world's origin [m].
-        tilt: by how much it looks down [rad].
+    It stands so high above the world's origin [m], and looks down by the tilt [rad].
     """
     s, c = np.sin(tilt), np.cos(tilt)
     return transform(np.array([[1.0, 0.0, 0.0], [0.0, -s, c], [0.0, -c, -s]]), np.array([0.0, 0.0, height]))
 
 
-def _homogeneous(directions: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 3"]:
+def _homogeneous(directions: Pairs) -> Points:
     return np.concatenate([directions, np.ones((*directions.shape[:-1], 1))], axis=-1)

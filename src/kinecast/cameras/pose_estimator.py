@@ -63,13 +63,9 @@ class Keypoints:
 
 
 class PoseEstimator:
-    """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints, in an ONNX file.
+    """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints, in an ONNX file, else a ModelError.
 
-    Attributes:
-        joints: canonical names of the keypoints that have one.
-
-    Raises:
-        ModelError: it is no such network.
+    Its joints are the canonical names of the keypoints that have one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,11 +79,7 @@ class PoseEstimator:
         self._spread = np.array([_SPREAD.get(without_side(joint), _OTHERS) for joint in self.joints])
 
     def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Keypoints:
-        """The keypoints of whoever is in a box (left, top, right, bottom) [px] of an RGB image.
-
-        Raises:
-            ModelError: the network fails.
-        """
+        """The keypoints of whoever is in a box (left, top, right, bottom) [px] of an RGB image; or a ModelError."""
         middle, size = (box[:2] + box[2:]) / 2, np.maximum(box[2:] - box[:2], 1.0) * PADDING
         inside = np.array([self.model.width, self.model.height])
         scale = float((size / inside).max())

@@ -28,15 +28,11 @@ RECORDINGS = (".bag", ".db3")  # endings of recordings; librealsense wrote .bag 
 SILENT = 5.0  # after so long without a frame [s] the camera is opened anew
 RETRY = 1.0  # before a camera that failed is opened anew [s]
 WAIT = 200  # longest wait for a frame before looking whether to end [ms]
+CLOSING = 5.0  # longest wait for the end [s]
 
 
 def _library() -> ModuleType:
-    """pyrealsense2, which needs a libusb that a wheel can bring too.
-
-    Raises:
-        MissingExtraError: it is not installed.
-        OptionError: it cannot be loaded.
-    """
+    """pyrealsense2, which needs a libusb that a wheel can bring too."""
     try:
         try:
             import pyrealsense2
@@ -68,15 +64,10 @@ class CameraFrame:
 
 
 class RealSenseStream:
-    """A camera, or a recording played at its pace.
+    """A camera, or a recording played at its pace; size [px] and rate [1/s] are of both images.
 
-    Args:
-        place: a serial number, the path of a recording (see `RECORDINGS`), or nothing for whatever camera there is.
-        size: width and height of both images [px].
-        rate: frames in a second.
-
-    Raises:
-        OptionError: there is no such camera or recording, or it gives no colour and depth.
+    Its place is a serial number, the path of a recording (see `RECORDINGS`), or nothing for whatever camera there is.
+    An OptionError where there is none, or it gives no colour and depth.
     """
 
     def __init__(self, place: str, size: tuple[int, int] = (848, 480), rate: int = 30) -> None:
@@ -92,7 +83,7 @@ class RealSenseStream:
             self._config.enable_stream(rs.stream.depth, *size, rs.format.z16, rate)
             self._config.enable_stream(rs.stream.color, *size, rs.format.rgb8, rate)
         try:
-            self._read_profile(self._config.resolve(rs.pipeline_wrapper(rs.pipeline())))
+            self._read_profile()
         except RuntimeError as error:
             what = place or "RealSense camera"
             raise OptionError(f"{what}: librealsense finds no colour and depth ({error})") from None
@@ -100,8 +91,7 @@ class RealSenseStream:
     def frames(self, stop: threading.Event) -> Iterator[CameraFrame]:
         """Frames as they come, the newest first to be had; ends when told to, or with the recording.
 
-        Raises:
-            RuntimeError: the camera fails, or is silent for `SILENT`.
+        A RuntimeError where the camera fails, or is silent for `SILENT`.
         """
         pipeline, align = rs.pipeline(), rs.align(rs.stream.color)
         device = pipeline.start(self._config).get_device()
@@ -124,11 +114,11 @@ class RealSenseStream:
         finally:
             pipeline.stop()
 
-    def _read_profile(self, profile: Any) -> None:
+    def _read_profile(self) -> None:
+        profile = self._config.resolve(rs.pipeline_wrapper(rs.pipeline()))
         sensor = profile.get_device().first_depth_sensor()
-        colour, depth = (
-            profile.get_stream(kind).as_video_stream_profile() for kind in (rs.stream.color, rs.stream.depth)
-        )
+        colour = profile.get_stream(rs.stream.color).as_video_stream_profile()
+        depth = profile.get_stream(rs.stream.depth).as_video_stream_profile()
         self._format = colour.format()
         if self._format not in (rs.format.rgb8, rs.format.bgr8):
             raise RuntimeError(f"its colours are {self._format}, expected rgb8 or bgr8")
@@ -144,9 +134,6 @@ def intrinsics_of(found: Any) -> Intrinsics:
 
     Its inverse distortion leads from pixels to directions with the coefficients that OpenCV has for the other way:
     OpenCV's five that lead back best are found by least squares.
-
-    Raises:
-        RuntimeError: librealsense cannot tell the direction of a pixel.
     """
     width, height, fx, fy, cx, cy = (getattr(found, name) for name in ("width", "height", "fx", "fy", "ppx", "ppy"))
     if not any(found.coeffs):
@@ -174,11 +161,7 @@ class RealSenseOptions:
 
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> RealSenseOptions:
-        """From the settings of a source, whose text is for messages.
-
-        Raises:
-            OptionError: one outside its range, or no model.
-        """
+        """From the settings of a source, whose text is for messages; an OptionError out of range, or without model."""
         if not settings.get("model"):
             raise OptionError(f"{text}: model=FILE is needed, a pose estimator in ONNX (docs/cameras.md)")
         width, _, height = settings.get("size", "848x480").partition("x")
@@ -198,16 +181,8 @@ class RealSenseOptions:
 class RealSenseSource:
     """Estimates everybody's pose in each frame, in a thread of its own; a camera that fails is opened anew.
 
-    Args:
-        name: for messages.
-        feed: where frames go, and failures are counted.
-        place: see RealSenseStream.
-        options: how the camera is used.
-        handler: takes what is seen; None for skeletons from this camera alone, in a world that begins below it.
-
-    Raises:
-        OptionError: there is no such camera.
-        ModelError: a network is none.
+    The handler takes what is seen; without, skeletons from this camera alone go to the feed, in a world that begins
+    below it. An OptionError where there is no such camera (see RealSenseStream), a ModelError for a bad network.
     """
 
     def __init__(
@@ -232,7 +207,7 @@ class RealSenseSource:
     def close(self) -> None:
         self._stop.set()
         if self._thread:
-            self._thread.join()
+            self._thread.join(CLOSING)
 
     def _run(self) -> None:
         while not self._stop.is_set():

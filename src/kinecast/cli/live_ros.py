@@ -15,10 +15,8 @@ from kinecast.live.sources import Source
 from kinecast.ros.bags import BagWriter, read_frames
 from kinecast.ros.dds import DdsTransport
 from kinecast.ros.messages import Distribution
-from kinecast.ros.planning_scene import SceneOptions
+from kinecast.ros.nodes import Ros1Transport, Ros2Transport
 from kinecast.ros.publisher import OUTPUTS, OutputOptions, PredictionPublisher
-from kinecast.ros.ros1 import Ros1Transport
-from kinecast.ros.ros2 import Ros2Transport
 from kinecast.ros.subscriber import TF_TYPE, InputOptions, SkeletonSubscriber, input_type
 from kinecast.ros.transport import RosSink, RosSource, Transport
 from kinecast.types import SkeletonFrame
@@ -42,12 +40,11 @@ def publisher(sink: Endpoint) -> PredictionPublisher:
     """What makes messages of predictions."""
     settings = sink.settings
     namespace = settings.get("namespace") if sink.kind == "bag" else str(sink.place)
-    parts = whole_number(settings, "parts", SceneOptions.parts, sink.text)
-    scene = SceneOptions(parts, number(settings, "thickness", SceneOptions.thickness, sink.text))
+    parts = whole_number(settings, "parts", OutputOptions.parts, sink.text)
+    thickness = number(settings, "thickness", OutputOptions.thickness, sink.text)
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS
-    return PredictionPublisher(
-        OutputOptions(namespace or "/kinecast", outputs, settings.get("planning_scene", ""), scene)
-    )
+    topic = settings.get("planning_scene", "")
+    return PredictionPublisher(OutputOptions(namespace or "/kinecast", outputs, topic, parts, thickness))
 
 
 def open_source(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:

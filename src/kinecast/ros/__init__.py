@@ -1,7 +1,7 @@
 """Skeletons in and predictions out by ROS 1, ROS 2, DDS and bags. Needs the extra `ros`.
 
-A message is a mapping of field names to values on its way out and an object of rosbags' on its way in; `messages` alone
-makes bytes of the one and reads the other from bytes, and a transport carries nothing but bytes.
+A message is a mapping of field names to values on its way out and an object of rosbags' on its way in; `messages` makes
+bytes of the one and reads the other from bytes, and a transport carries nothing but bytes.
 """
 
 from kinecast.errors import MissingExtraError

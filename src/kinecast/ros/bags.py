@@ -13,9 +13,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Reader as Reader2
@@ -27,49 +26,37 @@ from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 from kinecast.live.message import MessageError
 from kinecast.live.message_file import labelled_frames, message, recordings_of
-from kinecast.ros.messages import Distribution, messages_of
-from kinecast.ros.predictions import Fields, points, upright
+from kinecast.ros.messages import Distribution, messages_of, points, upright
 from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
 from kinecast.ros.transport import Callback, Transport
 from kinecast.types import SkeletonFrame
 
-MOST_MESSAGES = 5_000_000
-"""Read from one bag."""
-STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
-"""Of rosbag2."""
-SKELETONS = "/skeletons"
-"""Topic of a recording's frames."""
-FRAME, DIAMETER = "world", 0.05
-LATEST = 2.0**31
-"""The first time that ROS 2 cannot say [s]."""
+MOST_MESSAGES = 5_000_000  # read from one bag
+STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}  # of rosbag2
+SKELETONS, FRAME, DIAMETER = "/skeletons", "world", 0.05  # topic, coordinate frame and spheres of a recording
+LATEST = 2.0**31  # the first time that ROS 2 cannot say [s]
+ROS1 = ".bag"  # ending of a bag of ROS 1
 
 
 def load(path: Path) -> list[Recording]:
     """One recording for each person on `/skeletons`, else on the only topic that skeletons are read from.
 
-    Raises:
-        DatasetError: no bag, a damaged one, or one that does not say which joint is which.
+    A DatasetError for no bag, a damaged one, or one that does not say which joint is which.
     """
     topic = SKELETONS if SKELETONS in skeleton_topics(path) else ""
     frames, _ = read_frames(path, topic, InputOptions())
-    latest: dict[str, float] = {}
-    messages = []
+    once: dict[tuple[str, float], SkeletonFrame] = {}
     for frame in frames:
-        if frame.stamp > latest.get(frame.person, -np.inf):  # else it came twice
-            latest[frame.person] = frame.stamp
-            messages.append((str(path), message(frame, None)))
-    found = recordings_of(messages, path, "bag")
+        once.setdefault((frame.person, frame.stamp), frame)
+    found = recordings_of(((str(path), message(frame, None)) for frame in once.values()), path, "bag")
     return [replace(each, rate=float(f"{each.rate:.6g}")) for each in found]  # not what nanoseconds make of it
 
 
 def write(path: Path, recordings: Sequence[Recording]) -> None:
     """Writes recordings of different persons: for ROS 1 where the path ends in `.bag`, else a folder for ROS 2.
 
-    Stamps go to the nanosecond; names, rates, subjects, tasks, labels and notes are lost.
-
-    Raises:
-        DatasetError: stamps that ROS cannot say.
-        OptionError: there is something at the path.
+    Stamps go to the nanosecond; names, rates, subjects, tasks, labels and notes are lost. A DatasetError for stamps
+    that ROS cannot say, an OptionError where there is something at the path.
     """
     for recording in recordings:
         if len(recording.stamps) and not 0 <= recording.stamps.min() <= recording.stamps.max() < LATEST:
@@ -77,42 +64,29 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
     writer = BagWriter(path, Distribution.JAZZY, "mcap")
     try:
         for frame, _ in labelled_frames(recordings):
-            writer.write(SKELETONS, MARKERS, writer.messages.encode(MARKERS, _markers(frame)), frame.stamp)
+            common = {
+                "header": {"stamp": frame.stamp, "frame_id": FRAME}, "ns": frame.person, "type": SPHERE,
+                "scale": dict.fromkeys("xyz", DIAMETER), "color": dict.fromkeys("rgba", 1.0), "lifetime": 0.5,
+            }  # fmt: skip
+            placed = enumerate(zip(frame.joints, points(frame.positions), strict=True))
+            markers = [common | {"id": id_, "text": joint, "pose": upright(at)} for id_, (joint, at) in placed]
+            writer.write(SKELETONS, MARKERS, writer.messages.encode(MARKERS, {"markers": markers}), frame.stamp)
     finally:
         writer.close()
 
 
-def _markers(frame: SkeletonFrame) -> Fields:
-    common = {
-        "header": {"stamp": frame.stamp, "frame_id": FRAME}, "ns": frame.person, "type": SPHERE,
-        "scale": dict.fromkeys("xyz", DIAMETER), "color": dict.fromkeys("rgba", 1.0), "lifetime": 0.5,
-    }  # fmt: skip
-    placed = enumerate(zip(frame.joints, points(frame.positions), strict=True))
-    return {"markers": [common | {"id": id_, "text": joint, "pose": upright(at)} for id_, (joint, at) in placed]}
-
-
 def skeleton_topics(path: Path) -> dict[str, str]:
-    """Topics of a bag that skeletons may be read from, with the type of each.
-
-    Raises:
-        DatasetError: it is no bag, or a damaged one.
-    """
+    """Topics of a bag that skeletons may be read from, with the type of each; a DatasetError where it is damaged."""
     with _opened(path) as reader:
         types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
     return {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
 
 
 def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[SkeletonFrame], int]:
-    """Every skeleton of a topic, by stamp, and how many messages were none.
+    """Every skeleton of a topic ("" for the only one there is), by stamp, and how many messages were none.
 
-    Args:
-        path: of the bag.
-        topic: with skeletons; "" for the only one there is.
-        options: see InputOptions.
-
-    Raises:
-        DatasetError: it is no bag, a damaged one, or has no skeletons there.
-        OptionError: options that do not fit the type of the messages.
+    A DatasetError for no bag, a damaged one, or one without skeletons there, an OptionError for options that do not fit
+    the type of the messages.
     """
     topics = skeleton_topics(path)
     plain = [each for each, type_ in topics.items() if type_ != TF_TYPE] or list(topics)
@@ -131,7 +105,7 @@ def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[Ske
 
 def _read(path: Path, subscriber: SkeletonSubscriber) -> Iterator[SkeletonFrame | MessageError]:
     # Humble's definitions of what is read are Jazzy's
-    messages = messages_of(Distribution.NOETIC if _is_first(path) else Distribution.JAZZY)
+    messages = messages_of(Distribution.NOETIC if path.suffix == ROS1 else Distribution.JAZZY)
     with _opened(path) as reader:
         wanted = [each for each in reader.connections if each.topic in subscriber.topics]
         for count, (connection, _, content) in enumerate(reader.messages(wanted)):
@@ -144,7 +118,7 @@ def _read(path: Path, subscriber: SkeletonSubscriber) -> Iterator[SkeletonFrame 
 def _opened(path: Path) -> Iterator[Any]:
     """A reader; whatever goes wrong in it is a DatasetError."""
     try:
-        with (Reader1 if _is_first(path) else Reader2)(path) as reader:
+        with (Reader1 if path.suffix == ROS1 else Reader2)(path) as reader:
             yield reader
     except (DatasetError, OptionError):
         raise
@@ -152,32 +126,24 @@ def _opened(path: Path) -> Iterator[Any]:
         raise DatasetError(path, f"no bag that can be read ({type(error).__name__}: {str(error)[:200]})") from None
 
 
-def _is_first(path: Path) -> bool:
-    """Whether a bag is of ROS 1."""
-    return path.suffix == ".bag"
-
-
 class BagWriter(Transport):
     """Writes messages into a bag, and subscribes to nothing. It is opened by the thread that writes first.
 
-    Args:
-        path: a file that ends in `.bag` for ROS 1, else a folder for ROS 2; neither may be there.
-        distribution: whose definitions are used in ROS 2.
-        storage: of ROS 2, one of `STORAGES`.
-
-    Raises:
-        OptionError: there is something at the path, no folder for it, or an unknown storage.
+    The path is a file that ends in `.bag` for ROS 1, else a folder for ROS 2; neither may be there. ROS 2's bags have
+    the definitions of a distribution, and one of `STORAGES`. An OptionError where a bag cannot be written there.
     """
 
     def __init__(self, path: Path, distribution: Distribution, storage: str) -> None:
-        super().__init__(messages_of(Distribution.NOETIC if _is_first(path) else distribution))
+        self._first = path.suffix == ROS1
+        super().__init__(messages_of(Distribution.NOETIC if self._first else distribution))
         if path.exists():
             raise OptionError(f"{path}: is there already; a bag is never replaced")
         if not os.access(path.absolute().parent, os.W_OK | os.X_OK):
             raise OptionError(f"{path}: there is no folder {path.absolute().parent} that can be written to")
-        if not _is_first(path) and storage not in STORAGES:
+        if not self._first and storage not in STORAGES:
             raise OptionError(f"storage {storage!r}: expected {' or '.join(STORAGES)}")
-        self._path, self._distribution, self._storage = path, distribution, storage
+        self._version: Any = 8 if distribution is Distribution.HUMBLE else 9  # of rosbag2's format
+        self._path, self._storage = path, storage
         self._connections: dict[str, Any] = {}
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
@@ -188,15 +154,7 @@ class BagWriter(Transport):
         return lambda content: self.write(topic, type_, content, self.now())
 
     def write(self, topic: str, type_: str, content: bytes, received: float) -> None:
-        """Writes a message.
-
-        Args:
-            topic, type_, content: see Transport.
-            received: when [s].
-
-        Raises:
-            OSError: the bag cannot be written.
-        """
+        """Writes a message that was received then [s]; an OSError where the bag cannot be written."""
         if topic not in self._connections:
             store = self.messages.store
             self._connections[topic] = self._writer.add_connection(topic, normalize_msgtype(type_), typestore=store)
@@ -208,10 +166,9 @@ class BagWriter(Transport):
 
     @cached_property
     def _writer(self) -> Any:
-        if _is_first(self._path):
+        if self._first:
             writer: Any = Writer1(self._path)
         else:
-            version: Literal[8, 9] = 8 if self._distribution is Distribution.HUMBLE else 9
-            writer = Writer2(self._path, version=version, storage_plugin=STORAGES[self._storage])
+            writer = Writer2(self._path, version=self._version, storage_plugin=STORAGES[self._storage])
         writer.open()
         return writer

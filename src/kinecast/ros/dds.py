@@ -25,41 +25,28 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.errors import OptionError
 from kinecast.ros.messages import Distribution, Messages, messages_of
-from kinecast.ros.transport import Callback, Transport
+from kinecast.ros.transport import CLOSING, Callback, Transport
 
 MOST_AT_ONCE = 64
-LOOK = 0.2
-"""Longest wait for a message before looking whether to end [s]."""
+LOOK = 0.2  # longest wait for a message before looking whether to end [s]
 LOOPBACK = "127.0.0.1"
-PARTICIPANTS = 32
-"""Others on this machine that are looked for without multicast."""
+PARTICIPANTS = 32  # others on this machine that are looked for without multicast
 
 _CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 _RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
+# As rclcpp's default, in plain CDR; its sensor data, which matches every publisher; all that /tf_static said before.
 WRITER = Qos(_RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(10), _CDR)
-"""As rclcpp's default: reliable, volatile, keeps the last 10; plain CDR."""
 READER = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(100), _CDR)
-"""As rclcpp's sensor data, which matches every publisher."""
 STATIC_READER = Qos(_RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(100), _CDR)
-"""Of /tf_static whatever was said before is wanted too."""
 
 _domains: dict[int, tuple[str, Domain]] = {}
 _lock = threading.Lock()
 
 
 class DdsTransport(Transport):
-    """A participant of a DDS domain.
+    """A participant of a DDS domain, which speaks Humble's or Jazzy's definitions; see `participant`."""
 
-    Args:
-        distribution: whose definitions are spoken, Humble's or Jazzy's.
-        domain: as ROS_DOMAIN_ID.
-        network: interface, by name or address; "" is this machine alone, unless CYCLONEDDS_URI says otherwise.
-
-    Raises:
-        OptionError: an interface that is none, or not the one this process uses already.
-    """
-
-    def __init__(self, distribution: Distribution, domain: int, network: str = "") -> None:
+    def __init__(self, distribution: Distribution, domain: int, network: str) -> None:
         super().__init__(messages_of(distribution))
         self._participant = participant(domain, network)
         self._readers: list[tuple[DataReader[Any], str, Callback]] = []
@@ -69,21 +56,20 @@ class DdsTransport(Transport):
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
         qos = STATIC_READER if topic == "/tf_static" else READER
-        reader = DataReader(self._participant, self._topic(topic, self._message_class(type_)), qos=qos)
-        state = SampleState.Any | ViewState.Any | InstanceState.Any
-        self._waiting.attach(ReadCondition(reader, state))
+        reader = DataReader(self._participant, self._topic(topic, type_), qos=qos)
+        self._waiting.attach(ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any))
         self._readers.append((reader, topic, callback))
         if self._thread is None:
             self._thread = threading.Thread(target=self._read, name="dds", daemon=True)
             self._thread.start()
 
     def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
-        class_ = self._message_class(type_)
-        writer = DataWriter(self._participant, self._topic(topic, class_), qos=WRITER)
+        sent = self._topic(topic, type_)
+        writer = DataWriter(self._participant, sent, qos=WRITER)
 
         def publish(content: bytes) -> None:
             try:
-                writer.write(class_(content))
+                writer.write(sent.data_type(content))
             except DDSException as error:
                 raise OSError(str(error)) from None
 
@@ -92,7 +78,7 @@ class DdsTransport(Transport):
     def close(self) -> None:
         self._ended.set()
         if self._thread:
-            self._thread.join()
+            self._thread.join(CLOSING)
         self._readers.clear()
         self._publishers.clear()
 
@@ -104,11 +90,8 @@ class DdsTransport(Transport):
                     if sample.sample_info.valid_data and not self._ended.is_set():
                         callback(topic, sample.content)
 
-    def _topic(self, topic: str, class_: Any) -> Topic[Any]:
-        return Topic(self._participant, f"rt{topic}", class_)
-
-    def _message_class(self, type_: str) -> Any:
-        """The type of a message, whose objects are no more than its bytes."""
+    def _topic(self, topic: str, type_: str) -> Topic[Any]:
+        """One whose messages are no more than their bytes."""
 
         def initialise(self: Any, content: bytes = b"") -> None:
             self.content = content
@@ -117,14 +100,14 @@ class DdsTransport(Transport):
         struct.__init__ = initialise
         struct.serialize = lambda self, *_, **__: self.content
         struct.deserialize = struct.deserialize_key = classmethod(lambda class_, data, *_, **__: class_(bytes(data)))
-        return struct
+        return Topic(self._participant, f"rt{topic}", struct)
 
 
 def participant(domain: int, network: str) -> DomainParticipant:
-    """A participant on an interface; see DdsTransport.
+    """A participant of a domain, as ROS_DOMAIN_ID, on an interface, by name or address.
 
-    Raises:
-        OptionError: see there.
+    The network "" is this machine alone, unless CYCLONEDDS_URI says otherwise. An OptionError for an interface that is
+    none, or not the one this process uses already.
     """
     if not 0 <= domain <= 232:
         raise OptionError(f"domain {domain} is outside 0..232")
@@ -149,40 +132,30 @@ def _configuration(network: str) -> str | None:
         kind = "address" if re.fullmatch(r"[0-9.]+|[0-9a-fA-F:]+:[0-9a-fA-F:]*", network) else "name"
         settings = f'<General><Interfaces><NetworkInterface {kind}="{network}"/></Interfaces></General>'
     else:
-        settings = f"""
-        <General>
+        settings = f"""<General>
           <Interfaces><NetworkInterface address="{LOOPBACK}"/></Interfaces><AllowMulticast>false</AllowMulticast>
-        </General>
-        <Discovery>
+        </General><Discovery>
           <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>
-          <Peers><Peer address="{LOOPBACK}"/></Peers>
-        </Discovery>"""
+          <Peers><Peer address="{LOOPBACK}"/></Peers></Discovery>"""
     return f"<CycloneDDS><Domain>{settings}</Domain></CycloneDDS>"
 
 
 def idl_type(messages: Messages, type_: str, known: dict[str, Any]) -> Any:
-    """CycloneDDS's type of a message.
+    """CycloneDDS's type of a message; it and those it is made of are added to the known ones."""
 
-    Args:
-        messages: whose definitions are used.
-        type_: `package/Type`.
-        known: types made before; this one and those it is made of are added.
-    """
+    def of(node: Nodetype, kind: Any) -> Any:
+        if node == Nodetype.NAME:
+            return idl_type(messages, kind, known)
+        if node == Nodetype.BASE:
+            plain = {"string": str, "bool": bool, "byte": types.uint8, "char": types.uint8}
+            return plain.get(kind[0]) or getattr(types, kind[0])
+        part, length = kind
+        kinds: Any = types
+        return kinds.array[of(*part), length] if node == Nodetype.ARRAY else kinds.sequence[of(*part)]
+
     name = normalize_msgtype(type_)
     if name not in known:
         package, _, bare = name.split("/")
-        fields = {field: _field(messages, known, *kind) for field, kind in messages.store.fielddefs[name][1]}
+        fields = {field: of(*kind) for field, kind in messages.store.fielddefs[name][1]}
         known[name] = make_idl_struct(bare, f"{package}.msg.dds_.{bare}_", fields)
     return known[name]
-
-
-def _field(messages: Messages, known: dict[str, Any], node: Nodetype, kind: Any) -> Any:
-    if node == Nodetype.NAME:
-        return idl_type(messages, kind, known)
-    if node == Nodetype.BASE:
-        plain = {"string": str, "bool": bool, "byte": types.uint8, "char": types.uint8}
-        return plain.get(kind[0]) or getattr(types, kind[0])
-    part, length = kind
-    of = _field(messages, known, *part)
-    kinds: Any = types
-    return kinds.array[of, length] if node == Nodetype.ARRAY else kinds.sequence[of]

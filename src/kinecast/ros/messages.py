@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
@@ -20,15 +21,13 @@ from rosbags.typesys.store import Typestore
 
 from kinecast.live.message import MessageError
 
-LARGEST = 1 << 20
-"""Bytes of a message that is read; a ZED camera's has 2 kB a person."""
-LONGEST = 10_000
-"""Elements of a sequence that is read."""
+LARGEST = 1 << 20  # bytes of a message that is read; a ZED camera's has 2 kB a person
+LONGEST = 10_000  # elements of a sequence that is read
+Fields = dict[str, Any]  # values of a message by name; see `Messages.encode`
 
 _HERE = Path(__file__).parent
 _CLOCKS = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_PLAIN: dict[str, type] = {"string": str, "bool": bool, "float32": float, "float64": float}
-"""Python's type of a field; int for all others."""
+_PLAIN: dict[str, type] = {"string": str, "bool": bool, "float32": float, "float64": float}  # all others are int
 
 
 class Distribution(Enum):
@@ -44,17 +43,10 @@ class Distribution(Enum):
         return 1 if self is Distribution.NOETIC else 2
 
 
-@cache
-def messages_of(distribution: Distribution) -> Messages:
-    """The messages of a distribution, read once."""
-    return Messages(distribution)
-
-
 class Messages:
-    """Bytes from fields, and objects from bytes, by the definitions of a distribution."""
+    """Bytes from fields, and objects from bytes, by the definitions of a distribution. A type is `package/Type`."""
 
     def __init__(self, distribution: Distribution) -> None:
-        self.distribution = distribution
         self.store: Typestore = get_typestore(Stores[f"ROS{distribution.generation}_{distribution.name}"])
         self.store.max_sequence_length = LONGEST
         self.store.register(_definitions(distribution.generation))
@@ -65,28 +57,18 @@ class Messages:
             self._serialize, self._deserialize = self.store.serialize_cdr, self.store.deserialize_cdr
 
     def encode(self, type_: str, fields: Mapping[str, Any]) -> bytes:
-        """A message.
+        """A message from values by name; those left out are zero, empty, or false.
 
-        Args:
-            type_: `package/Type`.
-            fields: values by name; those left out are zero, empty, or false. Fields of a message type are mappings
-                themselves; a time or duration is a number of seconds.
-
-        Raises:
-            KeyError: a type or field that is not defined.
+        Fields of a message type are mappings themselves; a time or duration is a number of seconds. A KeyError for a
+        type or field that is not defined.
         """
         name = normalize_msgtype(type_)
         return bytes(self._serialize(self._object(name, fields), name))
 
     def decode(self, type_: str, content: bytes) -> Any:
-        """An object with the fields of a message.
+        """An object with the fields of a message of a known type; nothing in its bytes is trusted.
 
-        Args:
-            type_: `package/Type`, one that is known.
-            content: from anywhere; nothing in it is trusted.
-
-        Raises:
-            MessageError: it is no such message, or larger than `LARGEST`; nothing else is ever raised.
+        A MessageError where it is no such message, or larger than `LARGEST`; nothing else is ever raised.
         """
         if len(content) > LARGEST:
             raise MessageError(f"{len(content)} bytes, at most {LARGEST} are taken")
@@ -100,15 +82,11 @@ class Messages:
         """Makes now what else the first message would wait for."""
         self.decode(type_, self.encode(type_, {}))
 
-    def definition(self, type_: str) -> tuple[str, str]:
-        """Text of a message's definition with all it is made of, and its MD5, as of ROS 1."""
-        return self.store.generate_msgdef(normalize_msgtype(type_))
-
     def _object(self, name: str, fields: Mapping[str, Any]) -> Any:
         """rosbags' object of a message."""
         if name not in self._known:
             kinds = dict(self.store.fielddefs[name][1])
-            self._known[name] = {field: (kind, self._value(kind, _left_out(kind))) for field, kind in kinds.items()}
+            self._known[name] = {field: (kind, self._value(kind, None)) for field, kind in kinds.items()}
         known = self._known[name]
         if unknown := fields.keys() - known.keys():
             raise KeyError(f"{name} has no {', '.join(sorted(unknown))}")
@@ -117,27 +95,32 @@ class Messages:
         ])  # fmt: skip
 
     def _value(self, kind: Any, value: Any) -> Any:
-        """A field of rosbags' object."""
+        """A field of rosbags' object; what it is where nothing is given for None."""
         node, of = kind
         if node == Nodetype.BASE:
-            return value
+            return _PLAIN.get(of[0], int)() if value is None else value
         if node == Nodetype.NAME:
-            return self._object(of, _clock(value) if of in _CLOCKS else value)
-        part, _ = of
-        if part[0] == Nodetype.NAME or part[1][0] == "string":
+            return self._object(of, {} if value is None else _clock(value) if of in _CLOCKS else value)
+        part, length = of
+        composed = part[0] == Nodetype.NAME or part[1][0] == "string"
+        if value is None:
+            value = [None if composed else 0] * (length if node == Nodetype.ARRAY else 0)
+        if composed:
             return [self._value(part, each) for each in value]
         return np.asarray(value, "uint8" if part[1][0] in ("byte", "char") else part[1][0])
 
 
-def _left_out(kind: Any) -> Any:
-    """What a field is where nothing is given."""
-    node, of = kind
-    if node == Nodetype.NAME:
-        return 0.0 if of in _CLOCKS else {}
-    if node == Nodetype.BASE:
-        return _PLAIN.get(of[0], int)()
-    part, length = of
-    return [_left_out(part)] * (length if node == Nodetype.ARRAY else 0)
+messages_of = cache(Messages)  # read once
+
+
+def points(positions: Float[np.ndarray, "N 3"]) -> list[Fields]:
+    """Fields of a geometry_msgs/Point each [m]."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in positions.tolist()]
+
+
+def upright(position: Fields) -> Fields:
+    """Fields of a geometry_msgs/Pose that is not turned."""
+    return {"position": position, "orientation": {"w": 1.0}}
 
 
 def _clock(seconds: float) -> dict[str, int]:
@@ -149,15 +132,12 @@ def _clock(seconds: float) -> dict[str, int]:
 
 def _definitions(generation: int) -> dict[str, Any]:
     """Of the types that rosbags does not have."""
-
-    def read(name: str) -> str:
-        return (_HERE / "definitions" / f"{name}.msg").read_text()
-
-    texts = {"moveit_msgs/msg/PlanningScene": read("moveit_msgs"), "tf2_msgs/msg/TFMessage": read("tf2_msgs")}
-    if generation == 1:
-        texts["zed_interfaces/msg/ObjectsStamped"] = read("zed_interfaces_18")
-    else:
-        texts["zed_interfaces/msg/ObjectsStamped"] = zed = read("zed_interfaces")
+    read = {path.stem: path.read_text() for path in (_HERE / "definitions").glob("*.msg")}
+    texts = {"moveit_msgs/msg/PlanningScene": read["moveit_msgs"], "tf2_msgs/msg/TFMessage": read["tf2_msgs"]}
+    texts["zed_interfaces/msg/ObjectsStamped"] = zed = read[
+        "zed_interfaces_18" if generation == 1 else "zed_interfaces"
+    ]
+    if generation == 2:
         texts["zed_msgs/msg/ObjectsStamped"] = zed.replace("zed_interfaces/", "zed_msgs/")
     for path in sorted((_HERE / "kinecast_msgs" / "msg").glob("*.msg")):
         texts[f"kinecast_msgs/msg/{path.stem}"] = path.read_text()

@@ -7,48 +7,24 @@ moved: new shapes cost MoveIt more than new poses.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
 from kinecast.live.publication import Publication, arms_of
-from kinecast.ros.predictions import Fields, points, upright
+from kinecast.ros.messages import Fields, points, upright
 from kinecast.types import LIMBS
 
 LIMB_NAMES = ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm")
-ADD, REMOVE, MOVE = 0, 1, 3
-"""Operations of moveit_msgs/CollisionObject."""
-SPHERE, CYLINDER = 2, 3
-"""Types of shape_msgs/SolidPrimitive."""
-MARGIN = 0.02
-"""A new shape is larger than its tube by this [m], so that it can be kept for a while."""
-SLACK = 0.06
-"""A shape that is larger than its tube by more than this [m] is replaced."""
-REFRESH = 1.0
-"""After so long [s] an object is added anew, for those who came later."""
+ADD, REMOVE, MOVE = 0, 1, 3  # operations of moveit_msgs/CollisionObject
+SPHERE, CYLINDER = 2, 3  # types of shape_msgs/SolidPrimitive
+MARGIN = 0.02  # a new shape is larger than its tube by this [m], so that it can be kept for a while
+SLACK = 0.06  # a shape that is larger than its tube by more than this [m] is replaced
+REFRESH = 1.0  # after so long [s] an object is added anew, for those who came later
 
-
-@dataclass(frozen=True)
-class SceneOptions:
-    """How tubes become objects.
-
-    Attributes:
-        parts: of the horizon, each an object a limb; 1..8. A part's object holds the tubes of all its steps.
-        thickness: of a limb around its centre line, added to every radius [m]; 0..0.5.
-    """
-
-    parts: int = 3
-    thickness: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.parts <= 8:
-            raise OptionError(f"parts {self.parts} is outside 1..8")
-        if not 0 <= self.thickness <= 0.5:
-            raise OptionError(f"thickness {self.thickness:g} m is outside 0..0.5 m")
+Ends = Float[np.ndarray, "2 3"]
 
 
 class _Object(NamedTuple):
@@ -62,40 +38,33 @@ class _Object(NamedTuple):
 
 
 class CollisionObjects:
-    """The objects of every person in view."""
+    """The objects of every person in view; see `OutputOptions` for parts and thickness [m]."""
 
-    def __init__(self, options: SceneOptions) -> None:
-        self._options = options
+    def __init__(self, parts: int, thickness: float) -> None:
+        self._parts, self._thickness = parts, thickness
         self._known: dict[str, _Object] = {}
 
     def update(self, publication: Publication, person: str, stamp: float, now: float, expires: float) -> list[Fields]:
-        """Fields of a moveit_msgs/CollisionObject for every limb and part.
+        """Fields of a moveit_msgs/CollisionObject for every limb and part, with ids from the person's name.
 
-        Args:
-            publication: limbs that are not known in it keep the object they have until that expires.
-            person: name for the objects' ids.
-            stamp: for the headers [s].
-            now, expires: when it is, and when what is predicted has passed [s], on one clock.
+        Limbs that the publication does not know keep the object they have until it expires. Times as in the publisher.
         """
-        frame, changes = publication.frame.frame_id, []
+        frame = publication.frame.frame_id
+        changes: list[Fields] = []
         for name, ends, radius in self._capsules(publication):
             id_ = f"kinecast_{person}_{name}"
             length = float(np.linalg.norm(ends[1] - ends[0]))
-            fields: Fields = {
-                "header": {"stamp": stamp, "frame_id": frame},
-                "id": id_,
-                "pose": upright({}),
-                "primitive_poses": _poses(ends, length),
-            }
+            header = {"stamp": stamp, "frame_id": frame}
+            fields = {"header": header, "id": id_, "pose": upright({}), "primitive_poses": _poses(ends, length)}
             known = self._known.get(id_)
             holds = known and 0 <= known.radius - radius <= SLACK and 0 <= known.length - length <= SLACK
             if known and holds and known.frame == frame and now - known.added < REFRESH:
                 self._known[id_] = known._replace(expires=expires)
                 changes.append(fields | {"operation": MOVE})
             else:
-                self._known[id_] = _Object(frame, length + MARGIN, radius + MARGIN, now, expires)
-                shapes = [{"type": CYLINDER, "dimensions": [length + MARGIN, radius + MARGIN]}]
-                shapes += [{"type": SPHERE, "dimensions": [radius + MARGIN]}] * 2
+                self._known[id_] = new = _Object(frame, length + MARGIN, radius + MARGIN, now, expires)
+                shapes = [{"type": CYLINDER, "dimensions": [new.length, new.radius]}]
+                shapes += [{"type": SPHERE, "dimensions": [new.radius]}] * 2
                 changes.append(fields | {"operation": ADD, "primitives": shapes})
         return changes
 
@@ -104,7 +73,7 @@ class CollisionObjects:
         expired = [id_ for id_, each in self._known.items() if each.expires <= now]
         return [{"header": {"frame_id": self._known.pop(id_).frame}, "id": id_, "operation": REMOVE} for id_ in expired]
 
-    def _capsules(self, publication: Publication) -> Iterator[tuple[str, Float[np.ndarray, "2 3"], float]]:
+    def _capsules(self, publication: Publication) -> Iterator[tuple[str, Ends, float]]:
         """A capsule for each part and limb, its ends and radius [m].
 
         It holds the limb's tubes at all steps of the part, and between them: a capsule is convex, so it holds whatever
@@ -115,7 +84,7 @@ class CollisionObjects:
         if not len(tubes.radius):
             return
         ends = np.stack((tubes.start, tubes.end), axis=-2)  # (T, 4, 2, 3)
-        edges = np.linspace(0, len(tubes.radius) - 1, self._options.parts + 1).round().astype(int)
+        edges = np.linspace(0, len(tubes.radius) - 1, self._parts + 1).round().astype(int)
         for part, (low, high) in enumerate(pairwise(edges)):
             centre = ends[(low + high + 1) // 2]
             away = np.linalg.norm(ends[low : high + 1] - centre, axis=-1).max(axis=-1)
@@ -124,15 +93,10 @@ class CollisionObjects:
                 seen = np.linalg.norm(arms_of(publication.frame)[np.array(LIMBS)] - centre, axis=-1).max(axis=-1)
                 reach = np.where(np.isfinite(seen), np.maximum(reach, seen), reach)
             for limb in np.flatnonzero(np.isfinite(reach)):
-                yield f"{LIMB_NAMES[limb]}_{part}", centre[limb], float(reach[limb]) + self._options.thickness
+                yield f"{LIMB_NAMES[limb]}_{part}", centre[limb], float(reach[limb]) + self._thickness
 
 
-def scene_diff(objects: list[Fields]) -> Fields:
-    """Fields of a moveit_msgs/PlanningScene that changes these objects and nothing else."""
-    return {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": objects}}
-
-
-def _poses(ends: Float[np.ndarray, "2 3"], length: float) -> list[Fields]:
+def _poses(ends: Ends, length: float) -> list[Fields]:
     """Of the cylinder and the spheres; (1 + z·d, z × d), made unit, turns the cylinder's z axis to the other end."""
     middle, start, end = points(np.vstack((ends.mean(axis=0), ends)))
     x, y, z = ((ends[1] - ends[0]) / length).tolist() if length else (0.0, 0.0, 1.0)

@@ -1,19 +1,24 @@
-"""What a prediction is told as, on which topic, and when that is taken back."""
+"""What a prediction is told as, on which topic, and when that is taken back.
+
+Functions give the fields of one message each; a stamp is of its header [s].
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from kinecast.errors import OptionError
-from kinecast.live.publication import Publication
-from kinecast.ros.planning_scene import CollisionObjects, SceneOptions, scene_diff
-from kinecast.ros.predictions import Fields, distribution, joint_pose, markers, no_markers, pose_array
+from kinecast.live.publication import UPPER_TRIANGLE, Publication, arms_of, colour_of
+from kinecast.ros.messages import Fields, points, upright
+from kinecast.ros.planning_scene import CollisionObjects
+from kinecast.types import LIMBS, Status
 
 OUTPUTS = ("prediction", "markers", "poses", "planning_scene")
 _TYPES = {
@@ -21,12 +26,17 @@ _TYPES = {
     "markers": "visualization_msgs/MarkerArray",
     "planning_scene": "moveit_msgs/PlanningScene",
 }
-MOST_PERSONS = 64
-"""Persons with topics of their own, all through a run."""
-SAME_CLOCK = 60.0
-"""Stamps within so much [s] of the ROS clock are of that clock, and go out as they came."""
-AT_LEAST = 0.1
-"""How long anything stays [s]."""
+MOST_PERSONS = 64  # with topics of their own, all through a run
+SAME_CLOCK = 60.0  # stamps within so much [s] of the ROS clock are of that clock, and go out as they came
+AT_LEAST = 0.1  # how long anything stays [s]
+
+Colour = tuple[float, float, float]
+LINE_LIST, TEXT, DELETE = 5, 9, 2  # types and an action of visualization_msgs/Marker
+MARKERS = range(3)  # ids of a person's markers: the arms now, their mean at every step, the status
+THICK, THIN, HIGH = 0.03, 0.01, 0.08  # lines and letters [m]
+ABOVE = np.array([0.0, 0.0, 0.3])  # where the words stand, from the highest joint [m]
+UNKNOWN_TURN = math.pi**2  # variance of an angle of which nothing is known [rad²]
+SEEN: Colour = (0.85, 0.85, 0.85)
 
 
 class Posting(NamedTuple):
@@ -34,24 +44,18 @@ class Posting(NamedTuple):
 
     topic: str
     type_: str
-    fields: Mapping[str, Any]
+    fields: Fields
 
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What is sent, and where.
+    """What is sent, and where."""
 
-    Attributes:
-        namespace: of all topics, such as `/kinecast`.
-        outputs: which of `OUTPUTS`.
-        planning_scene: topic of the planning scene; "" is below the namespace. MoveIt listens on `/planning_scene`.
-        scene: how tubes become collision objects.
-    """
-
-    namespace: str = "/kinecast"
-    outputs: tuple[str, ...] = OUTPUTS
-    planning_scene: str = ""
-    scene: SceneOptions = field(default_factory=SceneOptions)
+    namespace: str = "/kinecast"  # of all topics
+    outputs: tuple[str, ...] = OUTPUTS  # which of `OUTPUTS`
+    planning_scene: str = ""  # its topic; "" is below the namespace. MoveIt listens on /planning_scene
+    parts: int = 3  # of the horizon, each an object a limb that holds the tubes of all its steps; 1..8
+    thickness: float = 0.05  # of a limb around its centre line, added to every radius in the scene [m]; 0..0.5
 
     def __post_init__(self) -> None:
         for name in filter(None, (self.namespace, self.planning_scene)):
@@ -60,17 +64,21 @@ class OutputOptions:
         unknown = [each for each in self.outputs if each not in OUTPUTS]
         if unknown or not self.outputs:
             raise OptionError(f"output {', '.join(unknown) or 'none'}: expected some of {', '.join(OUTPUTS)}")
+        if not 1 <= self.parts <= 8:
+            raise OptionError(f"parts {self.parts} is outside 1..8")
+        if not 0 <= self.thickness <= 0.5:
+            raise OptionError(f"thickness {self.thickness:g} m is outside 0..0.5 m")
 
 
 class PredictionPublisher:
     """Turns predictions into messages, and remembers what must be deleted.
 
-    All times are [s] on one clock of this machine that never jumps, but for `ros_now`.
+    Times are [s] on a clock of this machine that never jumps, but for `ros_now` and stamps.
     """
 
     def __init__(self, options: OutputOptions) -> None:
         self._options = options
-        self._objects = CollisionObjects(options.scene)
+        self._objects = CollisionObjects(options.parts, options.thickness)
         self._shown: dict[tuple[str, str], tuple[str, float]] = {}  # coordinate frame and expiry of each person
         self._tokens: dict[tuple[str, str], str] = {}
 
@@ -83,19 +91,23 @@ class PredictionPublisher:
         """Messages of a prediction; what it rests on has been acquired by `now`, on `Publication.acquired`'s clock."""
         outputs, prediction = self._options.outputs, publication.prediction
         token = self._token(publication.key)
-        stamp = _stamp(publication, now, ros_now)
+        stamp = prediction.stamp
+        if abs(stamp - ros_now) > SAME_CLOCK:
+            stamp = max(ros_now - (now - publication.acquired), 0.0)
         horizon = float(prediction.times[-1] - prediction.stamp) if len(prediction.times) else 0.0
         expires = max(publication.acquired + horizon, now + AT_LEAST)
         self._shown[publication.key] = publication.frame.frame_id, expires
         if "prediction" in outputs:
-            yield self._posting("prediction", distribution(publication, stamp))
+            yield self._posting("prediction", _distribution(publication, stamp))
         if "markers" in outputs:
-            yield self._posting("markers", markers(publication, stamp, expires - now))
+            yield self._posting("markers", _markers(publication, stamp, expires - now))
         if "poses" in outputs and token and len(prediction.times):
-            yield Posting(self._topic(f"{token}/poses"), "geometry_msgs/PoseArray", pose_array(publication, stamp))
+            means = points(prediction.mean.reshape(-1, 3))  # the six joints' at the first step, then at the next, …
+            fields = {"header": _header(publication, stamp), "poses": [upright(each) for each in means]}
+            yield Posting(self._topic(f"{token}/poses"), "geometry_msgs/PoseArray", fields)
             for joint, name in enumerate(prediction.joints):
                 if np.isfinite(prediction.mean[-1, joint]).all():
-                    fields = joint_pose(publication, stamp, joint)
+                    fields = _joint_pose(publication, stamp, joint)
                     yield Posting(self._topic(f"{token}/{name}"), "geometry_msgs/PoseWithCovarianceStamped", fields)
         if "planning_scene" in outputs and token:
             changes = self._objects.update(publication, token, stamp, now, expires)
@@ -107,7 +119,8 @@ class PredictionPublisher:
             if expires <= now:
                 del self._shown[key]
                 if "markers" in self._options.outputs:
-                    yield self._posting("markers", no_markers(key, frame))
+                    common = {"header": {"frame_id": frame}, "ns": "/".join(key), "action": DELETE}
+                    yield self._posting("markers", {"markers": [common | {"id": id_} for id_ in MARKERS]})
         yield from self._scene(self._objects.remove(now))
 
     @property
@@ -117,7 +130,8 @@ class PredictionPublisher:
 
     def _scene(self, objects: list[Fields]) -> Iterator[Posting]:
         if objects:
-            yield self._posting("planning_scene", scene_diff(objects))
+            diff = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": objects}}
+            yield self._posting("planning_scene", diff)
 
     def _posting(self, output: str, fields: Fields) -> Posting:
         return Posting(self._topic(output), _TYPES[output], fields)
@@ -136,7 +150,78 @@ class PredictionPublisher:
         return self._tokens.get(key, "")
 
 
-def _stamp(publication: Publication, now: float, ros_now: float) -> float:
-    """When the frame was taken, on the ROS clock [s]."""
-    own = publication.prediction.stamp
-    return own if abs(own - ros_now) <= SAME_CLOCK else max(ros_now - (now - publication.acquired), 0.0)
+def _distribution(publication: Publication, stamp: float) -> Fields:
+    """Fields of a kinecast_msgs/PredictedDistribution: mean, covariance and tubes of every step."""
+    prediction, tubes = publication.prediction, publication.tubes
+    covariance = prediction.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
+    steps = []
+    for k, time in enumerate(prediction.times):
+        ends = zip(points(tubes.start[k]), points(tubes.end[k]), tubes.radius[k], strict=True)
+        steps.append({
+            "after": time - prediction.stamp,
+            "mean": points(prediction.mean[k]),
+            "covariance": covariance[k].ravel(),
+            "tubes": [{"start": start, "end": end, "radius": radius} for start, end, radius in ends],
+        })  # fmt: skip
+    goals = [(hand, goal, share) for hand, shares in prediction.goals.items() for goal, share in shares.items()]
+    return {
+        "header": _header(publication, stamp),
+        "person": prediction.person,
+        "source": publication.source,
+        "status": list(Status).index(prediction.status),
+        "advice": prediction.status.advice,
+        "joints": list(prediction.joints),
+        "observed": points(arms_of(publication.frame)),
+        "steps": steps,
+        "level": tubes.level,
+        "goals": [{"hand": hand, "goal": goal, "probability": share} for hand, goal, share in goals],
+    }
+
+
+def _joint_pose(publication: Publication, stamp: float, joint: int) -> Fields:
+    """Fields of a geometry_msgs/PoseWithCovarianceStamped: one joint at the last step; its stamp is that instant."""
+    prediction = publication.prediction
+    covariance = np.eye(6) * UNKNOWN_TURN
+    covariance[:3, :3] = prediction.covariance[-1, joint]
+    (position,) = points(prediction.mean[-1, joint : joint + 1])
+    return {
+        "header": _header(publication, stamp + prediction.times[-1] - prediction.stamp),
+        "pose": {"pose": upright(position), "covariance": covariance.ravel()},
+    }
+
+
+def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
+    """Fields of a visualization_msgs/MarkerArray: the arms now, their mean at every step, fading, and the status.
+
+    Joints that are NaN are left out. It stays for its lifetime [s] without a newer one.
+    """
+    prediction, observed = publication.prediction, arms_of(publication.frame)
+    colour = colour_of(prediction.status)
+    fading = np.linspace(0.9, 0.2, len(prediction.mean), endpoint=False).tolist()
+    top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)
+    (place,) = points((top + ABOVE)[None])
+    words: Fields = {"type": TEXT, "text": f"{prediction.person}: {prediction.status.name}", "scale": {"z": HIGH}}
+    words |= {"color": _rgba(colour, 1.0), "pose": upright(place)}
+    drawn = _lines(observed[None], SEEN, [1.0], THICK), _lines(prediction.mean, colour, fading, THIN), words
+    common = {"header": _header(publication, stamp), "ns": "/".join(publication.key), "lifetime": lifetime}
+    return {"markers": [common | {"id": id_} | each for id_, each in zip(MARKERS, drawn, strict=True)]}
+
+
+def _header(publication: Publication, stamp: float) -> Fields:
+    return {"stamp": stamp, "frame_id": publication.frame.frame_id}
+
+
+def _rgba(colour: Colour, opacity: float) -> Fields:
+    return dict(zip("rgba", (*colour, opacity), strict=True))
+
+
+def _lines(poses: Float[np.ndarray, "N 6 3"], colour: Colour, opacities: Sequence[float], width: float) -> Fields:
+    ends, colours = [], []
+    for arms, opacity in zip(poses, opacities, strict=True):
+        joints, seen = points(arms), np.isfinite(arms).all(axis=1)
+        for limb in LIMBS:
+            if seen[list(limb)].all():
+                ends += [joints[end] for end in limb]
+                colours += [_rgba(colour, opacity)] * 2
+    common = {"type": LINE_LIST, "color": _rgba(colour, 1.0), "scale": {"x": width}, "pose": upright({})}
+    return common | {"points": ends, "colors": colours}

@@ -18,26 +18,21 @@ from kinecast.geometry.transforms import apply, rotation_x, rotation_y, rotation
 from kinecast.live.message import MessageError, SkeletonMessage
 from kinecast.ros.tf import STALE, UNSEEN, Position, TransformTree, seconds
 
-MOST_PERSONS = 64
-"""In one message, or begun."""
+MOST_PERSONS = 64  # in one message, or begun
 _SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-FRAMES = {"body": "pelvis", "torso": "collar", "head": "head"} | {
-    f"{side[0]}_{joint}": f"{side}_{joint}" for side in ("left", "right") for joint in _SIDED
-}
-"""Frames of a body, without its id, and the joints at their origins."""
+# Frames of a body, without its id, and the joints at their origins.
+FRAMES = {"body": "pelvis", "torso": "collar", "head": "head"}
+FRAMES |= {f"{side[0]}_{joint}": f"{side}_{joint}" for side in ("left", "right") for joint in _SIDED}
 _FRAME = re.compile(rf"({'|'.join(FRAMES)})_(.+)")
 _ARMS = tuple(frame for frame, joint in FRAMES.items() if joint in ARM_JOINTS)
+_ANGLES = ("y_shoulder", "p_shoulder", "r_shoulder", "elbow")
 
 
 class BodyFrames:
-    """Skeletons from TF: one of a body whenever its arms' frames are all there for a new stamp.
+    """Skeletons from TF, within a frame or "": one of a body whenever its arms' frames are all there for a new stamp.
 
     A body whose frames come in several messages is complete with the last one; where one of them is missing, it
     follows with the next stamp, the joint not seen.
-
-    Args:
-        tree: is updated here.
-        within: the frame positions are given in; "" for the root of the body's tree.
     """
 
     def __init__(self, tree: TransformTree, within: str) -> None:
@@ -45,18 +40,14 @@ class BodyFrames:
         self._within = within
         self._due: dict[str, float] = {}
 
-    def update(self, message: Any, fixed: bool = False) -> list[SkeletonMessage]:
-        """Takes a tf2_msgs/TFMessage: bodies that it completes, or begins anew before they were.
-
-        Raises:
-            MessageError: a transform that is none, or more than `MOST_PERSONS`.
-        """
-        bodies = _bodies(message)
-        found = [
-            self._skeleton(body, self._due.pop(body))
-            for body, stamp in bodies.items()
-            if self._due.get(body, np.inf) < stamp
-        ]
+    def update(self, message: Any, fixed: bool) -> list[SkeletonMessage]:
+        """Takes a tf2_msgs/TFMessage into the tree: bodies that it completes, or begins anew before they were."""
+        bodies: dict[str, float] = {}  # of which the message moves a frame, and the newest stamp of each [s]
+        for each in message.transforms:
+            if match := _FRAME.fullmatch(each.child_frame_id.lstrip("/")):
+                bodies[match[2]] = max(bodies.get(match[2], -np.inf), seconds(each.header.stamp))
+        late = [body for body, stamp in bodies.items() if self._due.get(body, np.inf) < stamp]
+        found = [self._skeleton(body, self._due.pop(body)) for body in late]
         self._tree.update(message, fixed)
         for body, stamp in bodies.items():
             arms = [f"{arm}_{body}" for arm in _ARMS]
@@ -79,32 +70,12 @@ class BodyFrames:
                 within = found.within
                 if found.oldest >= stamp - STALE:
                     positions[joint] = found.T[:3, 3].tolist()
-        return SkeletonMessage(
-            stamp, list(positions.values()), joints=list(positions), person=body, frame_id=within or "world"
-        )
-
-
-def _bodies(message: Any) -> dict[str, float]:
-    """Bodies of which a message moves a frame, and the newest stamp of each [s]."""
-    bodies: dict[str, float] = {}
-    for each in message.transforms:
-        if match := _FRAME.fullmatch(each.child_frame_id.lstrip("/")):
-            bodies[match[2]] = max(bodies.get(match[2], -np.inf), seconds(each.header.stamp))
-    return bodies
+        places, joints = list(positions.values()), list(positions)
+        return SkeletonMessage(stamp, places, joints=joints, person=body, frame_id=within or "world")
 
 
 def from_joint_state(message: Any, tree: TransformTree, within: str, height: float) -> list[SkeletonMessage]:
-    """A person from a sensor_msgs/JointState and the frame `body_<id>`.
-
-    Args:
-        message: angles [rad] of joints named `<joint>_<id>`.
-        tree: where the body's frame is found.
-        within: the frame positions are given in; "" for the root of the body's tree.
-        height: of the person [m].
-
-    Raises:
-        MessageError: names of no body or of several, an angle missing, or no recent frame of the body.
-    """
+    """A person of a height [m] from a sensor_msgs/JointState and the frame `body_<id>` in the tree, within a frame."""
     bodies = {match[1] for name in message.name if (match := re.fullmatch(r"[lr]_elbow_(.+)", name))}
     if len(bodies) != 1 or len(message.position) != len(message.name):
         raise MessageError("joint states of one body are expected: l_elbow_<id>, …, and a position for each")
@@ -120,22 +91,15 @@ def from_joint_state(message: Any, tree: TransformTree, within: str, height: flo
 def body_joints(angles: Mapping[str, float], height: float) -> dict[str, Float[np.ndarray, "3"]]:
     """Joints in the frame of a body [m], x forward, z up, by the kinematic model of ROS4HRI.
 
-    Args:
-        angles: of `waist` (0 where missing) and of both arms' `y_shoulder`, `p_shoulder`, `r_shoulder` and `elbow`,
-            with `l_` or `r_` before them [rad].
-        height: of the person [m]; all lengths are shares of it.
-
-    Raises:
-        MessageError: an arm's angle is missing.
+    All lengths are shares of the person's height [m]. Angles [rad] are of `waist` (0 where missing) and of both arms'
+    `y_shoulder`, `p_shoulder`, `r_shoulder` and `elbow`, with `l_` or `r_` before them (else a MessageError).
     """
     unit = height / 7.5
     R_torso = rotation_y(angles.get("waist", 0.0))
     joints = {"pelvis": np.zeros(3), "collar": R_torso @ [0.0, 0.0, 2.75 * unit]}
     for side, sign in (("left", 1.0), ("right", -1.0)):
         try:
-            yaw, pitch, roll, bend = (
-                angles[f"{side[0]}_{each}"] for each in ("y_shoulder", "p_shoulder", "r_shoulder", "elbow")
-            )
+            yaw, pitch, roll, bend = (angles[f"{side[0]}_{each}"] for each in _ANGLES)
         except KeyError as missing:
             raise MessageError(f"joint states without {missing}") from None
         R_upper = R_torso @ rotation_z(-sign * yaw) @ rotation_x(sign * pitch) @ rotation_z(sign * roll)

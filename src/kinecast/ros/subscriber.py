@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
 
 from kinecast.body.skeleton import ARM_JOINTS, JOINTS, SKELETONS
 from kinecast.errors import OptionError
@@ -20,46 +18,34 @@ from kinecast.types import SkeletonFrame
 TF_TYPE = "tf2_msgs/TFMessage"
 POSES, MARKERS, JOINT_STATE = "geometry_msgs/PoseArray", "visualization_msgs/MarkerArray", "sensor_msgs/JointState"
 INPUTS = (TF_TYPE, POSES, MARKERS, JOINT_STATE, "zed_interfaces/ObjectsStamped", "zed_msgs/ObjectsStamped")
-"""Types that skeletons are read from."""
-TALLEST = 2.5
-CUBE, SPHERE, SPHERE_LIST, POINTS = 1, 2, 7, 8
-"""Types of visualization_msgs/Marker that stand for joints."""
+TALLEST = 2.5  # [m]
+CUBE, SPHERE, SPHERE_LIST, POINTS = 1, 2, 7, 8  # types of visualization_msgs/Marker that stand for joints
 DELETE, DELETEALL = 2, 3
-
-
-def _names(table: str) -> list[str]:
-    return table.split()
-
 
 _KNOWN = {each.name: list(each.joints) for each in SKELETONS}
 # Sources: the ZED SDK's BODY_FORMAT, BODY_18_PARTS, BODY_34_PARTS and BODY_38_PARTS. A name that kinecast does not know
 # is left out.
-_ZED_18 = _names("""
-    nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist right_hip right_knee
-    right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear""")
-_ZED_38 = _names("""
-    pelvis lumbar spine chest neck nose left_eye right_eye left_ear right_ear left_clavicle right_clavicle
+_ZED_18, _ZED_38 = map(str.split, (
+    """nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist right_hip right_knee
+    right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear""",
+    """pelvis lumbar spine chest neck nose left_eye right_eye left_ear right_ear left_clavicle right_clavicle
     left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hip right_hip left_knee right_knee
     left_ankle right_ankle left_foot right_foot left_small_toe right_small_toe left_heel right_heel left_thumb
-    right_thumb left_index right_index left_middle right_middle left_pinky right_pinky""")
+    right_thumb left_index right_index left_middle right_middle left_pinky right_pinky""",
+))  # fmt: skip
 _ZED_FORMATS = {0: _ZED_18, 1: _KNOWN["ZED 34"], 2: _ZED_38}
 
 
 @dataclass(frozen=True)
 class InputOptions:
-    """What messages do not say themselves.
+    """What messages do not say themselves."""
 
-    Attributes:
-        joints: order of the joints in PoseArray, and in MarkerArray where texts do not name them: see `joint_order`.
-        person: of a PoseArray.
-        frame: that positions are carried into by TF; "" leaves them as they come.
-        height: of the person whose joint states are read [m].
-    """
-
-    joints: str = ""
-    person: str = "0"
-    frame: str = ""
-    height: float = 1.65
+    joints: str = (
+        ""  # order in PoseArray, and in MarkerArray where texts do not name them: a skeleton, or names with commas
+    )
+    person: str = "0"  # of a PoseArray
+    frame: str = ""  # that positions are carried into by TF; "" leaves them as they come
+    height: float = 1.65  # of the person whose joint states are read [m]
 
     def __post_init__(self) -> None:
         if not 0.5 <= self.height <= TALLEST:
@@ -69,8 +55,7 @@ class InputOptions:
 def input_type(text: str) -> str:
     """`package/Type` of what was written: `PoseArray`, `geometry_msgs/PoseArray`, `geometry_msgs/msg/PoseArray`, `TF`.
 
-    Raises:
-        OptionError: skeletons are not read from it.
+    An OptionError where skeletons are not read from it.
     """
     plain = "TFMessage" if text.upper() == "TF" else text.replace("/msg/", "/")
     for type_ in INPUTS:
@@ -80,18 +65,9 @@ def input_type(text: str) -> str:
 
 
 class SkeletonSubscriber:
-    """Reads messages of one topic, and of TF where that is needed.
+    """Reads messages of one topic of a type of `INPUTS`, and of TF where that is needed: `topics` and their types.
 
-    Args:
-        topic: with skeletons.
-        type_: of its messages, one of `INPUTS`.
-        options: see there.
-
-    Attributes:
-        topics: to subscribe to, with the type of each.
-
-    Raises:
-        OptionError: a PoseArray whose joints are not stated.
+    An OptionError for a PoseArray whose joints are not stated.
     """
 
     def __init__(self, topic: str, type_: str, options: InputOptions) -> None:
@@ -99,7 +75,7 @@ class SkeletonSubscriber:
             raise OptionError(f"{topic}: say which joint each pose is of, by joints=COCO 17 or joints=left_wrist,…")
         self._type = type_
         self._options = options
-        self._order = joint_order(options.joints) if options.joints else []
+        self._order = _joint_order(options.joints) if options.joints else []
         self._tree = TransformTree()
         self._bodies = BodyFrames(self._tree, options.frame)
         self.topics = {topic: type_}
@@ -107,21 +83,20 @@ class SkeletonSubscriber:
             self.topics |= {"/tf": TF_TYPE, "/tf_static": TF_TYPE}
 
     def read(self, messages: Messages, topic: str, content: bytes) -> Iterator[SkeletonFrame | MessageError]:
-        """Frames of a message, or what is wrong with it or with one of them; nothing is raised.
-
-        Args:
-            messages: read it.
-            topic: one of `topics`.
-            content: of the message.
-        """
+        """Frames of a message on one of the topics, or what is wrong with it or one of them; nothing is raised."""
         try:
             found = self._skeletons(topic, messages.decode(self.topics[topic], content))
         except MessageError as problem:
             yield problem
             return
+        within = self._options.frame
         for each in found:
             try:
-                yield self._in_frame(skeleton_frame(each))
+                frame = skeleton_frame(each)
+                if within and frame.frame_id != within:
+                    T = self._tree.lookup(frame.frame_id, within, frame.stamp).T
+                    frame = replace(frame, positions=apply(T, frame.positions), frame_id=within)
+                yield frame
             except MessageError as problem:
                 yield problem
 
@@ -134,60 +109,30 @@ class SkeletonSubscriber:
             self._tree.update(message, fixed)
             return []
         if type_ == POSES:
-            return from_poses(message, self._order, options.person)
+            positions = [point(pose.position) for pose in message.poses]
+            return [_skeleton(message.header, positions, self._order, options.person)]
         if type_ == MARKERS:
-            return from_markers(message, self._order)
+            return _from_markers(message, self._order)
         if type_ == JOINT_STATE:
             return from_joint_state(message, self._tree, options.frame, options.height)
-        return from_zed(message)
-
-    def _in_frame(self, frame: SkeletonFrame) -> SkeletonFrame:
-        """The same in the frame that was asked for.
-
-        Raises:
-            MessageError: TF does not know it, or not lately.
-        """
-        within = self._options.frame
-        if not within or frame.frame_id == within:
-            return frame
-        found = self._tree.lookup(frame.frame_id, within, frame.stamp)
-        return replace(frame, positions=np.asarray(apply(found.T, frame.positions)), frame_id=within)
+        return _from_zed(message)
 
 
-def joint_order(text: str) -> list[str]:
-    """Which joint the k-th position of a message is of.
-
-    Args:
-        text: a skeleton's name, such as `COCO 17`, or joints with commas between them; unknown ones are left out.
-
-    Raises:
-        OptionError: it is neither.
-    """
+def _joint_order(text: str) -> list[str]:
+    """Joints of a skeleton's name, such as `COCO 17`, or with commas between them; unknown ones are left out."""
     names = _KNOWN.get(text) or [name.strip() for name in text.split(",")]
     if text not in _KNOWN and not set(names) & set(JOINTS):
-        known = ", ".join(_KNOWN)
-        raise OptionError(f"joints {text!r}: expected a skeleton ({known}) or joints such as left_wrist,left_elbow")
+        known = f"a skeleton ({', '.join(_KNOWN)}) or joints such as left_wrist,left_elbow"
+        raise OptionError(f"joints {text!r}: expected {known}")
     return names
 
 
-def from_poses(message: Any, order: list[str], person: str) -> list[SkeletonMessage]:
-    """One person from a geometry_msgs/PoseArray: a pose a joint, in a stated order."""
-    return [_skeleton(message.header, [point(pose.position) for pose in message.poses], order, person)]
-
-
-def from_markers(message: Any, order: Sequence[str]) -> list[SkeletonMessage]:
+def _from_markers(message: Any, order: list[str]) -> list[SkeletonMessage]:
     """Every person in a visualization_msgs/MarkerArray.
 
     A person's markers have one namespace: either a sphere or cube for each joint, whose id is its place in the stated
     order or whose text is its name, or one list of spheres or points in that order. Without a namespace, id // 100 is
     the person and id % 100 the place, as Azure Kinect's driver has it. Other markers are passed over.
-
-    Args:
-        message: as decoded.
-        order: joints; empty where none is stated.
-
-    Raises:
-        MessageError: nothing says which joint a marker is of, or a person's markers are in several frames.
     """
     persons: dict[str, dict[str, Position]] = {}
     headers: dict[str, Any] = {}
@@ -212,12 +157,8 @@ def from_markers(message: Any, order: Sequence[str]) -> list[SkeletonMessage]:
     return found
 
 
-def from_zed(message: Any) -> list[SkeletonMessage]:
-    """Every tracked person in a zed_interfaces/ObjectsStamped or zed_msgs/ObjectsStamped: 18, 34 or 38 keypoints.
-
-    Raises:
-        MessageError: a body format that is none of these.
-    """
+def _from_zed(message: Any) -> list[SkeletonMessage]:
+    """Every tracked person in a zed_interfaces/ObjectsStamped or zed_msgs/ObjectsStamped: 18, 34 or 38 keypoints."""
     if len(message.objects) > MOST_PERSONS:
         raise MessageError(f"{len(message.objects)} objects, at most {MOST_PERSONS} are taken")
     found = []
@@ -233,14 +174,13 @@ def from_zed(message: Any) -> list[SkeletonMessage]:
     return found
 
 
-def _joint(order: Sequence[str], text: str, place: int) -> str:
+def _joint(order: list[str], text: str, place: int) -> str:
     """Which joint a marker is of."""
     if text in JOINTS:
         return text
     if not order:
-        raise MessageError(
-            "nothing says which joint a marker is of: state joints, or give each its joint's name as text"
-        )
+        how = "state joints, or give each its joint's name as text"
+        raise MessageError(f"nothing says which joint a marker is of: {how}")
     if not 0 <= place < len(order):
         raise MessageError(f"marker {place} is outside the {len(order)} joints that were stated")
     return order[place]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -13,12 +12,10 @@ from kinecast.geometry.transforms import from_quaternion, inverse, transform
 from kinecast.live.message import FARTHEST, LONGEST_NAME, MessageError
 
 MOST_FRAMES = 1024
-DEEPEST = 64
-"""Frames between one and the root of its tree."""
-STALE = 0.5
-"""A transform that is older than what it is applied to by more than this [s] is not used."""
+DEEPEST = 64  # frames between one and the root of its tree
+STALE = 0.5  # a transform that is older than what it is applied to by more than this [s] is not used
 
-
+Matrix = Float[np.ndarray, "4 4"]
 Position = list[float | None]
 UNSEEN: Position = [None, None, None]
 
@@ -34,9 +31,9 @@ def point(xyz: Any) -> Position:
 
 
 class Lookup(NamedTuple):
-    """Where a frame is: T (4, 4) carries points into the frame `within`; stamps of the moving transforms used [s]."""
+    """Where a frame is: T carries points into the frame `within`; stamps of the moving transforms used [s]."""
 
-    T: Float[np.ndarray, "4 4"]
+    T: Matrix
     within: str
     oldest: float
     newest: float
@@ -44,7 +41,7 @@ class Lookup(NamedTuple):
 
 class _Transform(NamedTuple):
     parent: str
-    T: Float[np.ndarray, "4 4"]
+    T: Matrix
     stamp: float
     fixed: bool
 
@@ -58,15 +55,11 @@ class TransformTree:
     def __contains__(self, frame: str) -> bool:
         return frame in self._transforms
 
-    def update(self, message: Any, fixed: bool = False) -> None:
+    def update(self, message: Any, fixed: bool) -> None:
         """Takes a tf2_msgs/TFMessage; one of its transforms that is older than what is known is passed over.
 
-        Args:
-            message: as decoded.
-            fixed: from `/tf_static`: holds for all times.
-
-        Raises:
-            MessageError: a transform that is none, or too many frames; those before it are taken.
+        Those from `/tf_static` are fixed: they hold for all times. A MessageError for a transform that is none, or too
+        many frames; those before it are taken.
         """
         for each in message.transforms:
             child, parent = _name(each.child_frame_id), _name(each.header.frame_id)
@@ -77,16 +70,10 @@ class TransformTree:
             if known is None or known.fixed or stamp >= known.stamp or known.stamp - stamp > 1.0:
                 self._transforms[child] = _Transform(parent, _matrix(each.transform, child), stamp, fixed)
 
-    def lookup(self, frame: str, within: str = "", stamp: float = -np.inf) -> Lookup:
-        """Where a frame is within another.
+    def lookup(self, frame: str, within: str, stamp: float = -np.inf) -> Lookup:
+        """Where a frame is within another, "" for the root of its tree, when it is needed [s].
 
-        Args:
-            frame: of which nothing may be known.
-            within: the other; "" is the root of its tree.
-            stamp: when it is needed [s].
-
-        Raises:
-            MessageError: the two are not connected, or were told more than `STALE` before the stamp.
+        A MessageError where the two are not connected, or were told more than `STALE` before the stamp.
         """
         up = self._chain(frame)
         if not within and len(up) == 1:
@@ -100,8 +87,8 @@ class TransformTree:
         moving = [known.stamp for known in map(self._transforms.__getitem__, up + down) if not known.fixed]
         if (age := stamp - min(moving, default=np.inf)) > STALE:
             raise MessageError(f"TF does not say where {frame!r} is in {within!r}: it said so {age:.1f} s before")
-        T = inverse(self._product(down)) @ self._product(up)
-        return Lookup(T, within, min(moving, default=np.inf), max(moving, default=-np.inf))
+        T_down, T_up = (reduce(lambda T, each: self._transforms[each].T @ T, chain, np.eye(4)) for chain in (down, up))
+        return Lookup(inverse(T_down) @ T_up, within, min(moving, default=np.inf), max(moving, default=-np.inf))
 
     def _chain(self, frame: str) -> list[str]:
         """A frame, its parent, …, the root."""
@@ -112,9 +99,6 @@ class TransformTree:
             chain.append(self._transforms[chain[-1]].parent)
         return chain
 
-    def _product(self, chain: Sequence[str]) -> Float[np.ndarray, "4 4"]:
-        return reduce(lambda T, frame: self._transforms[frame].T @ T, chain, np.eye(4))
-
 
 def _name(text: str) -> str:
     name = text.lstrip("/")
@@ -123,9 +107,8 @@ def _name(text: str) -> str:
     return name
 
 
-def _matrix(message: Any, child: str) -> Float[np.ndarray, "4 4"]:
-    xyz = np.array(point(message.translation), dtype=np.float64)
-    turn = message.rotation
+def _matrix(message: Any, child: str) -> Matrix:
+    xyz, turn = np.array(point(message.translation), dtype=np.float64), message.rotation
     wxyz = np.array([turn.w, turn.x, turn.y, turn.z])
     near = np.abs(xyz).max() <= FARTHEST and np.abs(wxyz).max() <= 1.01  # not of a NaN
     if not (near and 0.99 < np.linalg.norm(wxyz) < 1.01):

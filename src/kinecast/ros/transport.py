@@ -9,6 +9,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 from kinecast.live.counters import SinkCounters
 from kinecast.live.mailbox import Feed
@@ -21,10 +22,7 @@ from kinecast.ros.subscriber import SkeletonSubscriber
 
 Callback = Callable[[str, bytes], None]
 """Takes a topic and the bytes of a message that came on it, in any thread."""
-LOOK = 0.5
-"""Longest wait for something to do [s]."""
-CLOSING = 5.0
-"""Longest wait for what waits to be sent [s]: a network that hangs does not hold the end up."""
+LOOK, CLOSING = 0.5, 5.0  # longest waits for something to do, and for a thread to end: a network may hang [s]
 
 
 class Transport(ABC):
@@ -40,7 +38,7 @@ class Transport(ABC):
 
     @abstractmethod
     def create_publisher(self, topic: str, type_: str) -> Callable[[bytes], None]:
-        """What sends the bytes of a message on a topic."""
+        """What sends the bytes of a message on a topic; an OSError says that nothing can be sent any more."""
 
     @abstractmethod
     def close(self) -> None:
@@ -52,11 +50,7 @@ class Transport(ABC):
             self._publishers[topic] = self.create_publisher(topic, type_)
 
     def publish(self, topic: str, type_: str, content: bytes) -> None:
-        """Sends a message on a topic, which need not be advertised.
-
-        Raises:
-            OSError: nothing can be sent any more.
-        """
+        """Sends a message on a topic, which need not be advertised."""
         self.advertise(topic, type_)
         self._publishers[topic](content)
 
@@ -65,52 +59,46 @@ class Transport(ABC):
         return time.time()
 
 
+@dataclass
 class RosSource:
     """Skeletons from topics, to a guard; bad messages are counted in the feed. It closes its transport."""
 
-    def __init__(
-        self, address: str, feed: Feed, subscriber: SkeletonSubscriber, transport: Transport, guard: SenderGuard
-    ) -> None:
-        self.address = address
-        self._feed = feed
-        self._subscriber = subscriber
-        self._transport = transport
-        self._guard = guard
-        self._lock = threading.Lock()
+    address: str
+    feed: Feed
+    subscriber: SkeletonSubscriber
+    transport: Transport
+    guard: SenderGuard
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def start(self) -> None:
         """Subscribes."""
-        for topic, type_ in self._subscriber.topics.items():
-            self._transport.messages.prepare(type_)
-            self._transport.subscribe(topic, type_, self._take)
+        for topic, type_ in self.subscriber.topics.items():
+            self.transport.messages.prepare(type_)
+            self.transport.subscribe(topic, type_, self._take)
 
     def close(self) -> None:
         """Ends; no frame comes afterwards."""
-        self._transport.close()
+        self.transport.close()
 
     def _take(self, topic: str, content: bytes) -> None:
         arrived = time.monotonic()
         try:
             with self._lock:
-                for found in self._subscriber.read(self._transport.messages, topic, content):
+                for found in self.subscriber.read(self.transport.messages, topic, content):
                     try:
                         if isinstance(found, MessageError):
                             raise found
-                        self._guard.admit(found, self.address, arrived)
+                        self.guard.admit(found, self.address, arrived)
                     except MessageError as problem:
-                        self._feed.refuse(str(problem))
+                        self.feed.refuse(str(problem))
         except Exception as error:  # in a thread of the transport's, which must go on
-            self._feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
+            self.feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
 
 
 class RosSink:
     """Predictions on topics, from a thread of its own that also deletes what has expired. It closes its transport.
 
-    Args:
-        address: for messages.
-        publisher: makes the messages.
-        transport: sends them.
-        room: publications that may wait; the oldest of more are dropped and counted.
+    Of more publications than there is `room` for, the oldest that wait are dropped and counted.
     """
 
     def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:

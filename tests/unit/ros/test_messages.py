@@ -34,7 +34,7 @@ SECOND = [each for each in Distribution if each.generation == 2]
     ],
 )
 def test_definitions_have_the_hashes_that_were_published(type_: str, md5: str) -> None:
-    assert messages_of(Distribution.NOETIC).definition(type_)[1] == md5
+    assert messages_of(Distribution.NOETIC).store.generate_msgdef(normalize_msgtype(type_))[1] == md5
 
 
 @pytest.mark.parametrize("type_", USED)

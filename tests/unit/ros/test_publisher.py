@@ -12,7 +12,6 @@ import pytest
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import from_quaternion
 from kinecast.ros.messages import Distribution, messages_of
-from kinecast.ros.planning_scene import SceneOptions
 from kinecast.ros.publisher import OutputOptions, Posting, PredictionPublisher
 from kinecast.types import LIMBS, Status
 
@@ -214,8 +213,8 @@ def test_names_of_persons_become_topics_that_differ(publish: Any) -> None:
         (lambda: OutputOptions(namespace="kinecast"), "no ROS name"),
         (lambda: OutputOptions(planning_scene="/a-b"), "no ROS name"),
         (lambda: OutputOptions(outputs=("tubes",)), "tubes: expected some of"),
-        (lambda: SceneOptions(parts=0), "parts 0 is outside 1..8"),
-        (lambda: SceneOptions(thickness=2.0), "thickness 2 m is outside"),
+        (lambda: OutputOptions(parts=0), "parts 0 is outside 1..8"),
+        (lambda: OutputOptions(thickness=2.0), "thickness 2 m is outside"),
     ],
 )
 def test_options_name_what_is_wrong(make: Any, problem: str) -> None:

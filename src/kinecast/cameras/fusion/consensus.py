@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from kinecast.cameras.fusion.bone_prior import ANCHOR_STD, anchors, share_too_far
-from kinecast.cameras.fusion.kalman import JointStates, back
+from kinecast.cameras.fusion.kalman import Flags, JointStates, Matrices, Points, back
 from kinecast.cameras.fusion.measurement import Measurement
 
+Used = Bool[np.ndarray, "V J 2"]
 PIXEL_LIMIT, DEPTH_LIMIT = 16.0, 12.0
 """Squared errors in standard deviations, of two and of one number, beyond which something is simply wrong: 3 in 10 000
 and 5 in 10 000 of good ones are."""
@@ -33,11 +34,9 @@ GUESS = 3.0  # distance of a joint of which nothing tells it [m], for the noise 
 class Consensus:
     """What is left of V images of one person after the wrong was thrown out, at the instant of their states.
 
-    Attributes:
-        used: (V, J, 2) whether the pixel, and the depth, of each image go in.
-        past: (J,) whether the past agrees.
-        positions: (J, 3) where the joints are now, from these images alone; NaN where they do not suffice.
-        covariance: (J, 3, 3) of that [m²].
+    `used` (V, J, 2) says whether the pixel, and the depth, of each image go in, `past` (J,) whether the past agrees.
+    `positions` (J, 3) are where these images alone say that the joints are, NaN where they do not suffice, with a
+    `covariance` (J, 3, 3) [m²].
     """
 
     def __init__(self, images: Measurement, states: JointStates) -> None:
@@ -60,15 +59,15 @@ class Consensus:
             place, _ = self._solved(self.used, self.past, place)
             self.used, self.past = self._inliers(place)
         self.positions, self.covariance = self._solved(self.used, np.zeros_like(known), place)
-        self._weighted_rows = self._weighted(self.used, place)
+        self._place = place
 
     @property
-    def doubted(self) -> Bool[np.ndarray, " J"]:
+    def doubted(self) -> Flags:
         """(J,) whether something was thrown out, and what is left does not tell how far the joint is."""
         return (self._images.seen & ~self.used).any(axis=(0, 2)) & ~self.located
 
     @property
-    def located(self) -> Bool[np.ndarray, " J"]:
+    def located(self) -> Flags:
         """(J,) whether images tell how far the joint is: by a depth, or by two pixels."""
         return self.used[..., 1].any(axis=0) | (self.used[..., 0].sum(axis=0) > 1)
 
@@ -82,8 +81,7 @@ class Consensus:
 
     def evidence(self) -> tuple[Float[np.ndarray, "V J 3 3"], Float[np.ndarray, "V J 3"]]:
         """What is used, for `JointStates.correct`: AᵀWA and AᵀW(b − A p) of each image."""
-        rows = self._images.rows
-        weighted = self._weighted_rows
+        rows, weighted = self._images.rows, self._weighted(self.used, self._place)
         off = self._values - np.einsum("vjrx,jx->vjr", rows, self._here)
         return np.einsum("vjrx,vjry->vjxy", rows, weighted), np.einsum("vjrx,vjr->vjx", weighted, off)
 
@@ -106,7 +104,7 @@ class Consensus:
         places.append(self._solved(seen, self._known, guess)[0][None])
         return np.concatenate(places)
 
-    def _guess(self, single: Float[np.ndarray, "V J 3"]) -> Float[np.ndarray, "J 3"]:
+    def _guess(self, single: Float[np.ndarray, "V J 3"]) -> Points:
         """Somewhere near, to tell how far each camera is: the past, the middle of single images, or 3 m ahead."""
         axis = self._images.axis
         ahead = ((GUESS - axis[:, 3:]) * axis[:, :3]).mean(axis=0)
@@ -124,9 +122,7 @@ class Consensus:
         far = self._images.far * self._depths(places)[..., None]
         return 1 / (self._images.near**2 + far**2 + self._drift[..., None])
 
-    def _weighted(
-        self, used: Bool[np.ndarray, "V J 2"], place: Float[np.ndarray, "J 3"]
-    ) -> Float[np.ndarray, "V J 3 3"]:
+    def _weighted(self, used: Used, place: Points) -> Float[np.ndarray, "V J 3 3"]:
         """(V, J, 3, 3) rows by their precision at a place; 0 where a pixel, two rows, or a depth, one, is not used."""
         precision = np.nan_to_num(self._precision(place)) * used[..., [0, 0, 1]]
         return precision[..., None] * self._images.rows
@@ -139,7 +135,7 @@ class Consensus:
         cost = images.sum(axis=1) + np.minimum(past, PAST_LIMIT) * self._known
         return np.where(np.isfinite(places).all(axis=-1), cost, np.inf)
 
-    def _inliers(self, place: Float[np.ndarray, "J 3"]) -> tuple[Bool[np.ndarray, "V J 2"], Bool[np.ndarray, " J"]]:
+    def _inliers(self, place: Points) -> tuple[Used, Flags]:
         """What is within its limit of a place (J, 3)."""
         pixel, depth, past = self._errors(place)
         used = self._images.seen & np.stack([pixel < PIXEL_LIMIT, depth < DEPTH_LIMIT], axis=-1)
@@ -157,9 +153,7 @@ class Consensus:
         past = np.einsum("...jx,jxy,...jy->...j", away, self._past_information, away)
         return square[..., 0] + square[..., 1], square[..., 2], np.where(np.isfinite(past), past, np.inf)
 
-    def _solved(
-        self, used: Bool[np.ndarray, "V J 2"], past: Bool[np.ndarray, " J"], place: Float[np.ndarray, "J 3"]
-    ) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
+    def _solved(self, used: Used, past: Flags, place: Points) -> tuple[Points, Matrices]:
         """Weighted least squares over what is used: (J, 3) and its covariance; NaN where it does not suffice."""
         rows = self._images.rows
         weighted = self._weighted(used, place)

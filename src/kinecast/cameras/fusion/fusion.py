@@ -34,19 +34,13 @@ ASSIGNED = 0.55  # mean share of the limits up to which a measurement may be of 
 
 
 class Fusion:
-    """Takes images in the order they come and gives skeletons; never raises, whatever the images say.
-
-    Attributes:
-        late: images that came too late to be used.
-        thrown_out: per camera, measurements that disagreed with the others in most joints, or were of nobody.
-        used: per camera, measurements that went in.
-    """
+    """Takes images in the order they come and gives skeletons; never raises, whatever the images say."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.late = 0
-        self.thrown_out = dict.fromkeys(rig.cameras, 0)
-        self.used = dict.fromkeys(rig.cameras, 0)
+        self.late = 0  # images that came too late to be used
+        self.thrown_out = dict.fromkeys(rig.cameras, 0)  # measurements that disagreed with most, or were of nobody
+        self.used = dict.fromkeys(rig.cameras, 0)  # those that went in
         self._names = count(1)
         self._late_in_a_row = 0
         self._start_anew()
@@ -59,15 +53,10 @@ class Fusion:
         self._stamp = -math.inf
 
     def add(self, camera: str, stamp: float, people: Sequence[Detection | SkeletonFrame]) -> list[SkeletonFrame]:
-        """One image.
+        """Takes one image; gives frames of everybody that a finished round, of an image of each camera, has seen.
 
-        Args:
-            camera: whose; an unknown one is passed over.
-            stamp: when it was taken [s], on one clock for all cameras; stamps of the people themselves do not matter.
-            people: everybody in it, as detections or as skeletons in the camera's own axes.
-
-        Returns:
-            Frames of everybody that a finished round has seen; mostly none: a round takes an image of each camera.
+        An unknown camera is passed over. The stamp is when it was taken [s], on one clock for all cameras; those of the
+        people themselves do not matter. They are detections, or skeletons in the camera's own axes.
         """
         if camera not in self.rig.cameras or not math.isfinite(stamp):
             return []
@@ -98,11 +87,8 @@ class Fusion:
         images, self._round = self._round, {}
         newest = max(self._heard[camera] for camera in images)
         last, self._stamp = self._stamp, max(newest, self._stamp)
-        self._people = [
-            person
-            for person in self._people
-            if self._stamp - person.seen_at < (FORGET if person.confirmed else FORGET_DOUBTFUL)
-        ]
+        unseen = {person: self._stamp - person.seen_at for person in self._people}
+        self._people = [each for each in unseen if unseen[each] < (FORGET if each.confirmed else FORGET_DOUBTFUL)]
         for person in self._people:
             person.states.advance(self._stamp)
         strangers = self._recognise([[m for m in seen if m.stamp >= newest - OLDEST] for seen in images.values()])

@@ -8,6 +8,9 @@ from jaxtyping import Bool, Float
 from kinecast.body.skeleton import without_side
 from kinecast.cameras.fusion.measurement import FUSED_JOINTS
 
+Flags = Bool[np.ndarray, " J"]
+Points = Float[np.ndarray, "J 3"]
+Matrices = Float[np.ndarray, "J 3 3"]
 FADE = 0.4  # time in which an acceleration fades [s], from tuning: docs/decisions/0022
 ACCELERATIONS = {"elbow": 2.0, "wrist": 3.0, "hand": 4.0}
 ACCELERATION = 1.0
@@ -21,23 +24,10 @@ _VARIANCES = np.array([ACCELERATIONS.get(without_side(joint), ACCELERATION) ** 2
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
-def response(times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "3 N"]:
+def _response(times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "3 N"]:
     """(3, N) position, velocity and acceleration, so long after [s] an acceleration of 1 m/s² from rest: ȧ = −a/τ."""
     fallen = -np.expm1(-times / FADE)
     return np.stack([FADE * (times - FADE * fallen), FADE * fallen, 1 - fallen])
-
-
-def transition(dt: float) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) of position, velocity and acceleration over dt [s]."""
-    F = np.array([[1.0, dt, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
-    F[:, 2] = response(np.array([dt]))[:, 0]
-    return F
-
-
-def disturbance(dt: float) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) covariance 2/τ ∫ r rᵀ that comes in over dt [s], for an acceleration of standard deviation 1 m/s²."""
-    r = response(dt * (_NODES + 1) / 2)
-    return dt / FADE * (r * _WEIGHTS) @ r.T
 
 
 def back(dt: Float[np.ndarray, "*v"] | float) -> Float[np.ndarray, "*v 3"]:
@@ -47,34 +37,26 @@ def back(dt: Float[np.ndarray, "*v"] | float) -> Float[np.ndarray, "*v 3"]:
 
 
 class JointStates:
-    """What is known of the joints of one person, in the order of FUSED_JOINTS.
-
-    Attributes:
-        mean: (J, 3, 3) position [m], velocity, acceleration of each joint; NaN where it was never seen.
-        covariance: (J, 9, 9) of the same nine numbers.
-        standing: (J, 3, 3) covariance of the part of a position's error that stays from image to image [m²].
-        seen_at: (J,) when the joint was last seen [s]; -inf where never.
-        stamp: what instant this is of [s].
-    """
+    """What is known of the joints of one person at an instant [s], in the order of FUSED_JOINTS."""
 
     def __init__(self, stamp: float) -> None:
         joints = len(FUSED_JOINTS)
-        self.mean = np.full((joints, 3, 3), np.nan)
-        self.covariance = np.tile(np.eye(9), (joints, 1, 1))
-        self.standing = np.zeros((joints, 3, 3))
-        self.seen_at = np.full(joints, -np.inf)
+        self.mean = np.full((joints, 3, 3), np.nan)  # position [m], velocity, acceleration; NaN where never seen
+        self.covariance = np.tile(np.eye(9), (joints, 1, 1))  # of the same nine numbers
+        self.standing = np.zeros((joints, 3, 3))  # of the part of a position's error that stays in the next image [m²]
+        self.seen_at = np.full(joints, -np.inf)  # when a joint was last seen [s]; -inf where never
         self.stamp = stamp
 
     @property
-    def known(self) -> Bool[np.ndarray, " J"]:
+    def known(self) -> Flags:
         """(J,) whether there is anything to go on from."""
         return self.seen_at > -np.inf
 
-    def seen_within(self, period: float) -> Bool[np.ndarray, " J"]:
+    def seen_within(self, period: float) -> Flags:
         """(J,) whether the joint was seen in the last so many seconds."""
         return self.stamp - self.seen_at < period
 
-    def forget(self, joints: Bool[np.ndarray, " J"]) -> None:
+    def forget(self, joints: Flags) -> None:
         """As if these had never been seen."""
         self.mean[joints], self.covariance[joints], self.seen_at[joints] = np.nan, np.eye(9), -np.inf
         self.standing[joints] = 0.0
@@ -84,15 +66,18 @@ class JointStates:
         dt = stamp - self.stamp
         if dt <= 0:
             return
-        step = transition(dt)
-        F, Q = np.kron(step, np.eye(3)), np.kron(disturbance(dt), np.eye(3))
+        step = np.array([[1.0, dt, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+        step[:, 2] = _response(np.array([dt]))[:, 0]
+        r = _response(dt * (_NODES + 1) / 2)
+        disturbance = dt / FADE * (r * _WEIGHTS) @ r.T  # 2/τ ∫ r rᵀ, of an acceleration of 1 m/s²
+        F, Q = np.kron(step, np.eye(3)), np.kron(disturbance, np.eye(3))
         unseen = stamp - self.seen_at > UNSEEN
         self.mean = step @ self.mean
         self.mean[unseen, 1:] *= np.exp(-dt / SLOWING)
         self.covariance = F @ self.covariance @ F.T + _VARIANCES[:, None, None] * Q
         self.stamp = stamp
 
-    def at(self, stamp: float) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
+    def at(self, stamp: float) -> tuple[Points, Matrices]:
         """(J, 3) positions at an earlier instant [s], and (J, 3, 3) their covariance [m²]."""
         b = back(self.stamp - stamp)
         B = np.kron(b, np.eye(3))
@@ -106,10 +91,8 @@ class JointStates:
     ) -> None:
         """One weighted least squares over what is known of each joint and all that several images say of it.
 
-        Args:
-            stamps: (V,) of the images, now or earlier [s].
-            information: (V, J, 3, 3) AᵀWA about where the joint was then; zero where nothing is said.
-            surprise: (V, J, 3) AᵀW(b − A p) with p as `at` gives it.
+        They were taken at stamps (V,), now or earlier [s], and give AᵀWA (V, J, 3, 3), about where the joint was then,
+        zero where nothing is said, and AᵀW(b − A p) (V, J, 3), with p as `at` gives it.
         """
         told = information.any(axis=(0, 2, 3)) & self.known
         if not told.any():
@@ -122,12 +105,7 @@ class JointStates:
         self.mean[told] += step.reshape(-1, 3, 3)
         self.covariance[told] = (covariance + np.swapaxes(covariance, 1, 2)) / 2
 
-    def start(
-        self,
-        joints: Bool[np.ndarray, " J"],
-        positions: Float[np.ndarray, "J 3"],
-        covariance: Float[np.ndarray, "J 3 3"],
-    ) -> None:
+    def start(self, joints: Flags, positions: Points, covariance: Matrices) -> None:
         """Begins anew with these joints, where a first look places them (J, 3), with its covariance (J, 3, 3)."""
         self.mean[joints] = 0.0
         self.mean[joints, 0] = positions[joints]

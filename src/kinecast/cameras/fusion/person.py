@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from kinecast.cameras.fusion.bone_prior import ANCHOR_STD, anchors, share_too_far
 from kinecast.cameras.fusion.consensus import DEPTH_LIMIT, PIXEL_LIMIT, Consensus
-from kinecast.cameras.fusion.kalman import JointStates
+from kinecast.cameras.fusion.kalman import Flags, JointStates
 from kinecast.cameras.fusion.measurement import FUSED_JOINTS, Measurement, stacked
 from kinecast.types import SkeletonFrame
 
@@ -25,19 +25,12 @@ LEAST_SHARED = 3  # joints that must be seen and known for a comparison
 
 
 class Person:
-    """A person, from an instant [s] on.
-
-    Attributes:
-        name: the id that frames carry; empty until they have one.
-        states: what is known of the joints.
-        rounds: in how many rounds they were seen.
-        seen_at: when they were last seen [s].
-    """
+    """A person, from an instant [s] on."""
 
     def __init__(self, stamp: float) -> None:
-        self.name = ""
+        self.name = ""  # the id that frames carry; empty until they have one
         self.states = JointStates(stamp)
-        self.rounds = 0
+        self.rounds = 0  # in which they were seen
         self.seen_at = stamp
         self._doubts = np.zeros(len(FUSED_JOINTS), dtype=np.int64)
 
@@ -79,7 +72,7 @@ class Person:
             states.forget(share_too_far(states.mean[:, 0], states) > MOST_BEYOND)
         return left_out
 
-    def _hold(self, joints: Bool[np.ndarray, " J"]) -> None:
+    def _hold(self, joints: Flags) -> None:
         """Keeps joints near the body that one pixel alone was seen of: nothing else says how far they are."""
         middle, anchored = anchors(self.states)
         loose = np.sqrt(np.trace(self.states.covariance[:, :3, :3], axis1=1, axis2=2)) > LOOSE
