@@ -51,8 +51,8 @@ STRIDE = 5
 STAGES = (
     ("cut windows", ("resampled_windows",)),
     ("fit experts and baselines",
-     ("examples", "position_examples", "posture_examples", "residual_moment", "fit_all", "residual_factor", "network", "radial_basis",
-      "noisy_radial_basis", "mean_of")),
+     ("examples", "position_examples", "posture_examples", "residual_moment", "fit_all", "residual_factor", "network",
+      "radial_basis", "noisy_radial_basis", "mean_of")),
     ("examples for the gate", ("gate_examples",)),
     ("fit the gate", ("gate",)),
     ("examples for the errors", ("error_examples",)),
