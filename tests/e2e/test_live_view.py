@@ -10,7 +10,6 @@ import numpy as np
 
 from .browser import SCENE, Page, wait_for
 
-
 pytestmark = pytest.mark.timeout(900)  # programs of the system may have to be installed first
 
 
