@@ -10,6 +10,8 @@ import numpy as np
 
 from .browser import SCENE, Page, wait_for
 
+pytestmark = pytest.mark.timeout(900)  # programs of the system may have to be installed first
+
 
 def test_people_and_their_predictions_are_seen_in_a_browser(
     chromium: str, start: Callable[..., Any], tables: tuple[Path, Path], tmp_path: Path
