@@ -38,7 +38,7 @@ from kinecast.pipeline import every_frame, training_windows
 from kinecast.prediction.kinecast.experts import ExpertExamples
 from kinecast.prediction.methods import TrainingOptions, train
 from kinecast.prediction.observation import TrainingWindows
-from kinecast.tasks.workers import Serial
+from kinecast.tasks import Serial
 
 METHODS = "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,kinecast"
 """Those of benchmarks.generalisation."""
@@ -51,8 +51,8 @@ STRIDE = 5
 STAGES = (
     ("cut windows", ("resampled_windows",)),
     ("fit experts and baselines",
-     ("position_examples", "residual_moment", "fit_all", "residual_factor", "network", "radial_basis",
-      "noisy_radial_basis", "mean_of")),
+     ("examples", "position_examples", "posture_examples", "residual_moment", "fit_all", "residual_factor", "network",
+      "radial_basis", "noisy_radial_basis", "mean_of")),
     ("examples for the gate", ("gate_examples",)),
     ("fit the gate", ("gate",)),
     ("examples for the error model", ("error_examples",)),

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import truncnorm
 
 from kinecast.body.limits import JointLimits
-from kinecast.body.posture import ANGLES, postures_from_points
+from kinecast.body.posture import ANGLES, LEFT_ARM, postures_from_points
 from kinecast.prediction.observation import Observation, TrainingWindows
 
 try:
@@ -31,7 +31,7 @@ except ImportError as error:
     raise SystemExit(f"this benchmark needs optional packages ({error}): pip install 'kinecast[bench]'") from None
 
 LIMITS = JointLimits()
-LOWER, UPPER, SPEED = LIMITS.lower[:4], LIMITS.upper[:4], LIMITS.speed[:4]
+LOWER, UPPER, SPEED = (limit[LEFT_ARM] for limit in LIMITS.of_posture())
 PARTICLES, ITERATIONS = 20, 50
 """Of the swarm in an online step: as few as come near at all."""
 SIDES = (1.0, -1.0)

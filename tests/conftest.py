@@ -9,8 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+settings.register_profile("kinecast", deadline=None, derandomize=True)
+settings.load_profile("kinecast")
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.predictor import Predictor
-from kinecast.tasks.workers import Progress, Workers
+from kinecast.tasks import Progress, Workers
 from kinecast.types import Prediction, SkeletonFrame
 
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import lzma
 import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
@@ -435,92 +432,6 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
     assert [line.split()[1].rstrip(":") for line in done.stderr.splitlines()] == list(head)
     assert int(after) - int(before) < 200  # megabytes
     assert sorted(path.name for path in tmp_path.iterdir()) == [*sorted(head), "fine.txt"]
-
-
-def test_ctrl_c_leaves_nothing(tables: tuple[Path, Path], model: Path, tmp_path: Path) -> None:
-    script = f"""
-import os, signal, threading
-from kinecast.cli import main
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C
-threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT)).start()
-main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --samples 5000 --out out".split())
-"""
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    said = done.stderr.replace("kinecast: compiling once for this machine ...\n", "")
-    assert (done.returncode, done.stdout, said) == (130, "", "kinecast: interrupted\n")
-    assert list(tmp_path.iterdir()) == []
-
-
-EARLY = """
-class Finder:
-    def find_spec(self, name, *_):
-        if name == "numba":
-            os.kill(os.getpid(), signal.SIGINT)
-sys.meta_path.insert(0, Finder())
-main(["--version"])
-"""
-SWALLOWED = """
-class Bomb:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
-def run(_):
-    Bomb()
-    time.sleep(100)
-import kinecast.cli.commands
-kinecast.cli.commands.run = run
-main([])
-"""
-CHANGED = """
-def run(_):
-    try:
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(100)
-    except KeyboardInterrupt:
-        raise ImportError("half of a module")
-import kinecast.cli.commands
-kinecast.cli.commands.run = run
-main([])
-"""
-
-
-@pytest.mark.parametrize("script", [EARLY, SWALLOWED, CHANGED], ids=["import", "destructor", "other exception"])
-def test_ctrl_c_is_one_line_wherever_it_comes(script: str, tmp_path: Path) -> None:
-    start = """
-import os, signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from kinecast.cli import main
-assert "numpy" not in sys.modules
-"""
-    command = [sys.executable, "-c", start + script]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=90)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "kinecast: interrupted\n")
-
-
-@pytest.mark.parametrize("when", ["workers start", "workers work"])
-def test_ctrl_c_ends_a_cluster_without_a_trace(
-    when: str, tables: tuple[Path, Path], model: Path, tmp_path: Path
-) -> None:
-    script = f"""
-import signal
-from kinecast.cli import main
-signal.signal(signal.SIGINT, signal.default_int_handler)
-main("evaluate --model {model} --test {tables[1]} --stride 1 --repeats 1000 --samples 5000 --out out".split()
-     + ["--cluster", "local:2"])
-"""
-    with subprocess.Popen(
-        [sys.executable, "-c", script], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        assert process.stderr is not None
-        said = process.stderr.readline() if when == "workers work" else ""
-        while not (workers := psutil.Process(process.pid).children()):
-            assert process.poll() is None
-            time.sleep(0.02)
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to this process and to its workers
-        said += process.communicate(timeout=120)[1]
-    assert process.returncode == 130
-    assert said.replace("kinecast: cluster local:2: 2 workers\n", "") == "kinecast: interrupted\n"
-    assert not psutil.wait_procs(workers, timeout=30)[1]
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_installed_command_ends_with_the_same_codes(numbers: np.ndarray, tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.ros.dds import idl_type, participant
 from kinecast.ros.messages import Distribution, messages_of
 
+pytestmark = pytest.mark.timeout(900)  # programs of the system may have to be installed first
+
 LONG = 240.0
 """Of a wait for another process, on however busy a machine [s]; most take a second."""
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])

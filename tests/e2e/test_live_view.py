@@ -10,6 +10,8 @@ import numpy as np
 
 from .browser import SCENE, Page, wait_for
 
+pytestmark = pytest.mark.timeout(900)  # programs of the system may have to be installed first
+
 
 def test_people_and_their_predictions_are_seen_in_a_browser(
     chromium: str, start: Callable[..., Any], tables: tuple[Path, Path], tmp_path: Path
@@ -17,8 +19,8 @@ def test_people_and_their_predictions_are_seen_in_a_browser(
     running = start("--source", f"recording:{tables[0]}?repeat=100", "--sink", "view://127.0.0.1:0")
     page = Page(chromium, tmp_path / "profile", running.sinks[0])
     try:
-        words = wait_for("a status", lambda: page.run("document.getElementById('live').innerText"))
-        assert str(tables[0]) in words
+        shown = "document.getElementById('live')?.innerText"
+        wait_for("a prediction of the recording", lambda: str(tables[0]) in (page.run(shown) or ""))
 
         def drawn() -> bool:
             scene = page.picture()[:, :SCENE]

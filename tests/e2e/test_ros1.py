@@ -21,6 +21,8 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 
+pytestmark = pytest.mark.timeout(900)  # programs of the system may have to be installed first
+
 LONG = 240.0
 """Of a wait for another process, on however busy a machine [s]; most take a second."""
 PYTHON = "/usr/bin/python3"

@@ -17,6 +17,8 @@ import pytest
 
 from .browser import LONG, SCENE, Page, wait_for
 
+pytestmark = pytest.mark.timeout(900)  # programs of the system may have to be installed first
+
 COMMAND = (
     sys.executable,
     "-c",

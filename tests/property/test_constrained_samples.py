@@ -127,14 +127,14 @@ def assert_nothing_violated(
 every = given(seen=drawn(22), held=drawn(13), scene=drawn(13))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @every
 def test_kalman_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> None:
     limits, observation = joint_limits(held), window(seen)
     assert_nothing_violated(replace(fitted(), limits=limits), observation, limits, obstacles(scene, observation))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @every
 def test_gp_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> None:
     limits, observation = joint_limits(held), window(seen)
@@ -142,7 +142,7 @@ def test_gp_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> None:
 
 
 @pytest.mark.parametrize("spread", [1e-6, 0.05, 1.0])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @every
 def test_wild_gaussians(spread: float, seen: Numbers, held: Numbers, scene: Numbers) -> None:
     limits, observation = joint_limits(held), window(seen)

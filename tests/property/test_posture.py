@@ -53,7 +53,7 @@ NARROW[0, :2], NARROW[2, 0] = 0.0, 1.0
 SHORT = np.array([[0, 0.2, 0], [TINY, 0.2, -3 * TINY], [1, 0.2, 0], [0, -0.2, 0], [0, -0.2, 2 * TINY], [0, -0.2, 1]])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(points, previous_postures)
 @example(NARROW, np.full(18, np.nan))
 @example(SHORT, np.full(18, np.nan))
@@ -63,7 +63,7 @@ def test_points_come_back_from_any_posture(x: np.ndarray, previous: np.ndarray) 
         np.testing.assert_allclose(back, x, rtol=0, atol=1e-12)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(postures())
 def test_a_posture_comes_back_when_it_is_the_previous_one(posture: np.ndarray) -> None:
     x = points_from_postures(posture)
@@ -72,7 +72,7 @@ def test_a_posture_comes_back_when_it_is_the_previous_one(posture: np.ndarray) -
     np.testing.assert_allclose(back, posture, rtol=0, atol=tolerance)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(postures())
 def test_both_branches_are_the_same_points(posture: np.ndarray) -> None:
     other = posture.copy()
@@ -82,14 +82,14 @@ def test_both_branches_are_the_same_points(posture: np.ndarray) -> None:
     np.testing.assert_allclose(log_det_jacobian(other), log_det_jacobian(posture), atol=1e-9)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(postures())
 def test_smooth_coordinates_come_back(posture: np.ndarray) -> None:
     back = postures_from_coordinates(coordinates_from_postures(posture))
     np.testing.assert_allclose(back, posture, rtol=0, atol=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(postures(margin=0.3))
 def test_log_det_jacobian_is_that_of_finite_differences(posture: np.ndarray) -> None:
     step = 1e-6
@@ -101,7 +101,7 @@ def test_log_det_jacobian_is_that_of_finite_differences(posture: np.ndarray) -> 
     assert abs(numeric - log_det_jacobian(posture)) < tolerance
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(postures(margin=-0.6), st.integers(0, 2**32 - 1))
 def test_whoever_keeps_the_bounds_violates_nothing(start: np.ndarray, seed: int) -> None:
     """Also from a start outside its range, and also when only the points of the steps are known."""

@@ -26,7 +26,7 @@ shapes = st.one_of(boxes, spheres, capsules, half_spaces)
 
 
 @given(shapes, vectors, vectors)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_the_segment_distance_is_the_least_over_its_points(shape: Shape, start: np.ndarray, end: np.ndarray) -> None:
     """A convex function along the segment: refine a grid around its best point until nothing is gained."""
     low, high = 0.0, 1.0
@@ -39,7 +39,7 @@ def test_the_segment_distance_is_the_least_over_its_points(shape: Shape, start: 
 
 
 @given(shapes, vectors)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_walking_the_distance_against_the_gradient_meets_the_surface(shape: Shape, point: np.ndarray) -> None:
     """The gradient has norm 1 wherever the nearest surface point is unique, on both sides of the surface."""
     h = 1e-6
@@ -55,14 +55,14 @@ def test_walking_the_distance_against_the_gradient_meets_the_surface(shape: Shap
 
 
 @given(shapes, vectors, vectors)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_no_distance_changes_faster_than_the_point_moves(shape: Shape, a: np.ndarray, b: np.ndarray) -> None:
     change = abs(float(shape.signed_distance(a)) - float(shape.signed_distance(b)))
     assert change <= np.linalg.norm(a - b) + 1e-12
 
 
 @given(boxes, vectors)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_box_against_its_nearest_surface_point(box: Box, point: np.ndarray) -> None:
     """Clip onto each of the six faces in turn: the nearest of the six is the distance to the surface."""
     local, half = box.rotation.T @ (point - box.center), box.size / 2
@@ -77,7 +77,7 @@ def test_a_box_against_its_nearest_surface_point(box: Box, point: np.ndarray) ->
 
 
 @given(capsules, vectors, vectors)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_capsule_against_two_segments(capsule: Capsule, start: np.ndarray, end: np.ndarray) -> None:
     """The closest points of two segments, by clamped alternation from a grid of starts."""
     axis, limb = capsule.end - capsule.start, end - start

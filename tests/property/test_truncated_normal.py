@@ -39,7 +39,7 @@ def cdf(x: float, mean: float, sd: float, lower: float, upper: float) -> float:
     return float((ndtr(here) - ndtr(below)) / (ndtr(above) - ndtr(below)))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(means, spreads, sigmas_away, widths, mirrored, uniforms, uniforms, st.floats(-5, 5))
 def test_draws_keep_their_bounds_and_follow_the_quantile(
     mean: float, sd: float, away: float, width: float, mirror: bool, u: float, other: float, white: float
@@ -62,7 +62,7 @@ def test_draws_keep_their_bounds_and_follow_the_quantile(
         assert abs(cdf(x, mean, sd, lower, upper) - u) <= tolerance
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(means, spreads, sigmas_away, widths, mirrored, st.floats(-5, 5), st.floats(-4, 3))
 def test_noisy_density_is_never_nan_and_never_above_its_ceiling(
     mean: float, sd: float, away: float, width: float, mirror: bool, offset: float, noise_power: float

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import no_type_check
+from typing import TypeAlias, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,6 +17,8 @@ from numba import njit
 
 from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM, USUAL_RANGE
 from kinecast.errors import OptionError
+
+Posture: TypeAlias = Float[np.ndarray, "18"]
 
 TOLERANCE = 1e-9
 """An angle this far [rad] outside its limit still counts as inside: round-off of FK and IK."""
@@ -37,13 +39,6 @@ class AngleLimit:
     speed: float
 
 
-# AAOS (1965), as the shoulder's in kinecast.body.posture: pronation and supination 80; wrist flexion 80,
-# extension 70; ulnar deviation 30, radial 20.
-_PRONATION = (math.radians(-80.0), math.radians(80.0))
-_WRIST_FLEXION = (math.radians(-70.0), math.radians(80.0))
-_WRIST_DEVIATION = (math.radians(-20.0), math.radians(30.0))
-
-
 @dataclass(frozen=True)
 class JointLimits:
     """Limits of one arm, the same for both sides; hard, and all of them options.
@@ -61,14 +56,15 @@ class JointLimits:
     """
 
     # Speeds of shoulder and elbow: a ceiling above real work, where the elbow's 99th percentile is 5.6 rad/s,
-    # its 99.9th 11.0 rad/s (recordings of assembly). Forearm and wrist carry only the hand.
+    # its 99.9th 11.0 rad/s (recordings of assembly). Forearm and wrist carry only the hand. Ranges of these are of
+    # AAOS (1965), as the shoulder's: pronation and supination 80; wrist flexion 80, extension 70; deviation 30, 20.
     flexion: AngleLimit = AngleLimit(*USUAL_RANGE[0], speed=12.0)
     abduction: AngleLimit = AngleLimit(*USUAL_RANGE[1], speed=12.0)
     axial_rotation: AngleLimit = AngleLimit(*USUAL_RANGE[2], speed=12.0)
     elbow: AngleLimit = AngleLimit(*USUAL_RANGE[3], speed=12.0)
-    pronation: AngleLimit = AngleLimit(*_PRONATION, speed=20.0)
-    wrist_flexion: AngleLimit = AngleLimit(*_WRIST_FLEXION, speed=20.0)
-    wrist_deviation: AngleLimit = AngleLimit(*_WRIST_DEVIATION, speed=20.0)
+    pronation: AngleLimit = AngleLimit(math.radians(-80.0), math.radians(80.0), speed=20.0)
+    wrist_flexion: AngleLimit = AngleLimit(math.radians(-70.0), math.radians(80.0), speed=20.0)
+    wrist_deviation: AngleLimit = AngleLimit(math.radians(-20.0), math.radians(30.0), speed=20.0)
     wrist_speed: float | None = None
 
     def __post_init__(self) -> None:
@@ -109,34 +105,19 @@ class JointLimits:
         return [(f.name, getattr(self, f.name)) for f in fields(self) if f.name != "wrist_speed"]
 
     @cached_property
-    def _table(self) -> Float[np.ndarray, "3 7"]:
-        return np.array([[limit.lower, limit.upper, limit.speed] for _, limit in self._named_angles()]).T
-
-    @property
-    def lower(self) -> Float[np.ndarray, " 7"]:
-        """(7,) least angles θ1 … θ7 [rad]."""
-        return self._table[0].copy()
-
-    @property
-    def upper(self) -> Float[np.ndarray, " 7"]:
-        """(7,) greatest angles θ1 … θ7 [rad]."""
-        return self._table[1].copy()
-
-    @property
-    def speed(self) -> Float[np.ndarray, " 7"]:
-        """(7,) greatest speeds of θ1 … θ7 [rad/s]."""
-        return self._table[2].copy()
-
-    def of_posture(self) -> tuple[Float[np.ndarray, " 18"], Float[np.ndarray, " 18"], Float[np.ndarray, " 18"]]:
-        """(18,) lower [rad], upper [rad], speed [rad/s] of a posture; infinite for all but the arm angles."""
+    def _of_posture(self) -> Float[np.ndarray, "3 18"]:
+        table = [[limit.lower, limit.upper, limit.speed] for _, limit in self._named_angles()[:4]]
         result = np.repeat([[-np.inf], [np.inf], [np.inf]], POSTURE_SIZE, axis=1)
-        result[:, list(ANGLES)] = np.tile(self._table[:, :4], 2)
-        return result[0], result[1], result[2]
+        result[:, list(ANGLES)] = np.tile(np.transpose(table), 2)
+        return result
+
+    def of_posture(self) -> tuple[Posture, Posture, Posture]:
+        """(18,) lower [rad], upper [rad], speed [rad/s] of a posture; infinite for all but the arm angles."""
+        lower, upper, speed = self._of_posture.copy()
+        return lower, upper, speed
 
 
-def posture_bounds(
-    limits: JointLimits | None,
-) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"], Float[np.ndarray, "18"], float]:
+def posture_bounds(limits: JointLimits | None) -> tuple[Posture, Posture, Posture, float]:
     """Lower, upper [rad], speed [rad/s] of a posture and the wrist's speed [m/s]; infinite without limits."""
     if limits is None:
         return np.full(18, -np.inf), np.full(18, np.inf), np.full(18, np.inf), np.inf
@@ -149,17 +130,10 @@ def bounds(lower: float, upper: float, speed: float, previous: float, dt: float)
     """Eq. 4: lb = max(lower, θ − speed·dt), ub = min(upper, θ + speed·dt) (kernel).
 
     From an angle too far outside its range to be back in one step, both bounds are the nearest reachable
-    value: full speed towards the range. They are never empty; without a previous angle (NaN) they are the
-    range.
+    value: full speed towards the range. They are never empty; without a previous angle (NaN) they are the range.
 
-    Args:
-        lower, upper: the range [rad].
-        speed: greatest speed [rad/s].
-        previous: the angle θ one step earlier [rad].
-        dt: length of the step [s].
-
-    Returns:
-        lb ≤ ub [rad], both within speed·dt of the previous angle.
+    Takes the range [rad], the greatest speed [rad/s], the angle θ one step earlier [rad] and the step dt [s]; returns
+    lb ≤ ub [rad], both within speed·dt of the previous angle.
     """
     if math.isnan(previous):
         return lower, upper
@@ -174,11 +148,8 @@ def bounds(lower: float, upper: float, speed: float, previous: float, dt: float)
 def speeds_within_wrist_speed(posture: np.ndarray, speed: np.ndarray, wrist_speed: float, out: np.ndarray) -> None:
     """Speeds that also hold the wrist's: min(speed_i, v / |∂wrist/∂θ_i|), each angle alone (kernel).
 
-    Args:
-        posture: (18,) posture the step starts from.
-        speed: (18,) greatest speeds [rad/s].
-        wrist_speed: greatest speed v of a wrist relative to the torso [m/s]; infinite for none.
-        out: (18,) receives the speeds [rad/s].
+    Takes the posture (18,) the step starts from, the greatest speeds (18,) [rad/s] and that of a wrist relative to the
+    torso, v [m/s]; infinite for none. `out` (18,) receives the speeds [rad/s].
     """
     out[:] = speed
     if math.isinf(wrist_speed):

@@ -35,8 +35,6 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.geometry.transforms import transformed
-
 POSTURE_SIZE = 18
 LEFT_ARM = slice(6, 10)
 RIGHT_ARM = slice(12, 16)
@@ -45,6 +43,8 @@ ANGLES = (6, 7, 8, 9, 12, 13, 14, 15)
 LENGTHS = (5, 10, 11, 16, 17)
 """Places of the lengths in a posture: shoulder width and the four bones."""
 
+Postures: TypeAlias = Float[np.ndarray, "*batch 18"]
+Points: TypeAlias = Float[np.ndarray, "*batch 6 3"]
 Vector: TypeAlias = tuple[float, float, float]
 Angles: TypeAlias = tuple[float, float, float, float]
 
@@ -144,14 +144,8 @@ def arm_angles(u: Vector, f: Vector, side: float, previous: Angles, weight: floa
     An angle that is undefined keeps its previous value, 0 when there is none: θ3 at a straight elbow, θ1 with
     the arm straight out sideways. A forearm that is NaN gives NaN for θ3 and θ4 alone.
 
-    Args:
-        u, f: shoulder to elbow and elbow to wrist, of any length [m].
-        side: +1 left, −1 right.
-        previous: the angles one step earlier [rad]; NaN for none, an arm at rest then.
-        weight: of the usual range, `OUTSIDE_WEIGHT` or 0.
-
-    Returns:
-        The four angles [rad]; θ4 lies in [0, π].
+    Takes shoulder to elbow and elbow to wrist, of any length [m]; side +1 left, −1 right; the angles one step earlier
+    [rad], NaN for none, an arm at rest then; and the weight, `OUTSIDE_WEIGHT` or 0. Returns [rad]; θ4 lies in [0, π].
     """
     upper = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     if math.isnan(upper):
@@ -219,13 +213,10 @@ def _length(v: Vector) -> float:
 @njit(cache=True)
 @no_type_check
 def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, out: np.ndarray) -> None:
-    """The posture of six points, on the branch nearest to the previous posture (kernel).
+    """The posture (18,) of six points (6, 3) [m], on the branch nearest to the previous posture (kernel).
 
-    Args:
-        points: (6, 3) points in the reference torso frame [m]; a NaN point gives NaN where it is needed.
-        previous: (18,) posture one step earlier; NaN for none, number by number.
-        weight: of the usual range in the choice of the branch as in `arm_angles`.
-        out: (18,) receives the posture; may be the same array as previous.
+    A NaN point gives NaN where it is needed, a NaN in `previous` (18,) means none. `weight` is as in `arm_angles`;
+    `out` (18,) may be the same array as `previous`.
     """
     d = _difference(points, 0, 3)
     level = math.sqrt(d[0] * d[0] + d[1] * d[1])
@@ -249,16 +240,12 @@ def posture_of_points(points: np.ndarray, previous: np.ndarray, weight: float, o
         shoulder, at = 3 * arm, 6 + 6 * arm
         upper = _difference(points, shoulder + 1, shoulder)
         fore = _difference(points, shoulder + 2, shoulder + 1)
-        theta = arm_angles(
-            into_torso(upper, sy, cy, sr, cr),
-            into_torso(fore, sy, cy, sr, cr),
-            LEFT if arm == 0 else RIGHT,
-            (previous[at], previous[at + 1], previous[at + 2], previous[at + 3]),
-            weight,
-        )
+        before = (previous[at], previous[at + 1], previous[at + 2], previous[at + 3])
+        side = LEFT if arm == 0 else RIGHT
+        u, f = into_torso(upper, sy, cy, sr, cr), into_torso(fore, sy, cy, sr, cr)
+        theta = arm_angles(u, f, side, before, weight)
         out[at], out[at + 1], out[at + 2], out[at + 3] = theta
-        out[at + 4] = _length(upper)
-        out[at + 5] = _length(fore)
+        out[at + 4], out[at + 5] = _length(upper), _length(fore)
 
 
 @njit(cache=True)
@@ -285,10 +272,8 @@ def points_of_posture(posture: np.ndarray, out: np.ndarray) -> None:
 @njit(cache=True)
 @no_type_check
 def _posture_series(points: np.ndarray, previous: np.ndarray, continuous: bool, weight: float, out: np.ndarray) -> None:
-    last = np.empty(18)
     for series in range(points.shape[0]):
-        for i in range(18):
-            last[i] = previous[series, i]
+        last = previous[series].copy()
         for step in range(points.shape[1]):
             posture_of_points(points[series, step], last, weight, out[series, step])
             if continuous:
@@ -327,18 +312,14 @@ def postures_from_points(
     series = math.prod(batch)
     start = np.full(18, np.nan) if previous is None else previous
     start = np.broadcast_to(start, (*batch, 18)).reshape(series, 18)
+    start = np.ascontiguousarray(start, dtype=np.float64)
+    flat = np.ascontiguousarray(points, dtype=np.float64).reshape(series, frames, 6, 3)
     out = np.empty((series, frames, 18))
-    _posture_series(
-        np.ascontiguousarray(points, dtype=np.float64).reshape(series, frames, 6, 3),
-        np.ascontiguousarray(start, dtype=np.float64),
-        continuous,
-        OUTSIDE_WEIGHT if usual else 0.0,
-        out,
-    )
+    _posture_series(flat, start, continuous, OUTSIDE_WEIGHT if usual else 0.0, out)
     return out.reshape(*batch, frames, 18)
 
 
-def points_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarray, "*batch 6 3"]:
+def points_from_postures(postures: Postures) -> Points:
     """Points of postures: shoulders p ± d/2, elbows L1·R u from them, wrists L2·R f from the elbows.
 
     Returns (…, 6, 3) points in the reference torso frame [m], in the order of `ARM_JOINTS`.
@@ -349,19 +330,16 @@ def points_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.n
     return out.reshape(*postures.shape[:-1], 6, 3)
 
 
-def to_world(
-    postures: Float[np.ndarray, "*batch 18"], rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "*batch 6 3"]:
+def to_world(postures: Postures, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> Points:
     """R · points_from_postures(postures) + o: (…, 6, 3) arms [m] in the world, of whose torso R and o are."""
-    return transformed(points_from_postures(postures), rotation, origin)
+    return np.asarray(points_from_postures(postures) @ rotation.T + origin)
 
 
-def log_det_jacobian(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarray, "*batch"]:
+def log_det_jacobian(postures: Postures) -> Float[np.ndarray, "*batch"]:
     """log |∂points/∂posture| = log(w² cos ρ) + Σ_arms log(L1² |cos θ2| L2² |sin θ4|).
 
-    The density of points is that of postures divided by this determinant.
-
-    The result (…) is −inf at a straight elbow, a sideways arm or an upright shoulder line.
+    The density of points is that of postures divided by this determinant. It is −inf at a straight elbow, a sideways
+    arm or an upright shoulder line.
     """
     lengths, cosines, sines = postures[..., list(2 * LENGTHS)], postures[..., [4, 7, 13]], postures[..., [9, 15]]
     factors = np.concatenate([lengths, np.cos(cosines), np.sin(sines)], axis=-1)
@@ -376,7 +354,7 @@ def other_branch(theta: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*ba
     return other
 
 
-def coordinates_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarray, "*batch 18"]:
+def coordinates_from_postures(postures: Postures) -> Postures:
     """Smooth coordinates for regression: (θ3, θ4) of each arm become (θ4 cos θ3, θ4 sin θ3).
 
     θ3 is undefined at a straight elbow; these two are smooth there. |∂coordinates/∂posture| = θ4 an arm.
@@ -390,7 +368,7 @@ def coordinates_from_postures(postures: Float[np.ndarray, "*batch 18"]) -> Float
     return coordinates
 
 
-def postures_from_coordinates(coordinates: Float[np.ndarray, "*batch 18"]) -> Float[np.ndarray, "*batch 18"]:
+def postures_from_coordinates(coordinates: Postures) -> Postures:
     """Postures (…, 18) of smooth coordinates: θ4 = |(a, b)|, θ3 = atan2(b, a) in [−π, π], 0 at a straight elbow."""
     postures = np.array(coordinates, dtype=np.float64)
     for at in (8, 14):

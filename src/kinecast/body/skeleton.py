@@ -6,7 +6,7 @@ in through the alias table of its `Skeleton`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -64,14 +64,7 @@ class Skeleton:
         return self._by_plain_name.get(_plain(source_name))
 
     def canonical(self, source_names: Iterable[str], where: object) -> tuple[str, ...]:
-        """Canonical names of source joints.
-
-        Args:
-            source_names: the source's names, in any order and case.
-            where: file (and place) for the message.
-
-        Returns:
-            One canonical name for each source name, in the same order.
+        """One canonical name for each source name, in the same order; `where` (file and place) is for the message.
 
         Raises:
             DatasetError: a name is unknown to this skeleton, or two mean the same joint.
@@ -94,11 +87,7 @@ def without_side(joint: str) -> str:
 
 
 def require_arms(joints: Iterable[str], where: object) -> None:
-    """Check that both arms are tracked: shoulder, elbow and wrist of each side.
-
-    Args:
-        joints: canonical joint names of a recording or frame.
-        where: file (and place) for the message.
+    """Check that both arms are tracked: shoulder, elbow and wrist of each side; `where` is for the message.
 
     Raises:
         DatasetError: names the joints that are missing and those there are.
@@ -110,46 +99,49 @@ def require_arms(joints: Iterable[str], where: object) -> None:
         raise DatasetError(where, f"{', '.join(missing)} missing: both arms are needed; the joints are {found}")
 
 
-def _skeleton(name: str, table: str) -> Skeleton:
-    """A skeleton from its table: `source=canonical` in source order, one word where the two are the same."""
-    pairs = (entry.partition("=") for entry in table.split())
-    aliases = {source: joint or source for source, _, joint in pairs}
+def _skeleton(name: str, table: str, sides: Sequence[str] = ()) -> Skeleton:
+    """A skeleton from its table: `source=canonical` in source order, one word where the two are the same.
+
+    A line with `@` is of one side, and is read once for each of `sides`, the source's words for left and right.
+    """
+    aliases = {}
+    for line in table.splitlines():
+        for side in sides if "@" in line else ("",):
+            for entry in line.split():
+                source, _, joint = entry.partition("=")
+                canonical = joint or source
+                if side:
+                    canonical = ("left_" if side[0] in "lL" else "right_") + canonical
+                aliases[source.replace("@", side)] = canonical
     return Skeleton(name, tuple(dict.fromkeys(aliases.values())), MappingProxyType(aliases))
 
 
 # Source: Azure Kinect Body Tracking SDK, joint ids 0 to 31.
 AZURE_KINECT_32 = _skeleton("Azure Kinect 32", """
     PELVIS=pelvis SPINE_NAVAL=spine SPINE_CHEST=chest NECK=neck
-    CLAVICLE_LEFT=left_clavicle SHOULDER_LEFT=left_shoulder ELBOW_LEFT=left_elbow WRIST_LEFT=left_wrist
-    HAND_LEFT=left_hand HANDTIP_LEFT=left_hand_tip THUMB_LEFT=left_thumb
-    CLAVICLE_RIGHT=right_clavicle SHOULDER_RIGHT=right_shoulder ELBOW_RIGHT=right_elbow
-    WRIST_RIGHT=right_wrist HAND_RIGHT=right_hand HANDTIP_RIGHT=right_hand_tip THUMB_RIGHT=right_thumb
-    HIP_LEFT=left_hip KNEE_LEFT=left_knee ANKLE_LEFT=left_ankle FOOT_LEFT=left_foot
-    HIP_RIGHT=right_hip KNEE_RIGHT=right_knee ANKLE_RIGHT=right_ankle FOOT_RIGHT=right_foot
-    HEAD=head NOSE=nose EYE_LEFT=left_eye EAR_LEFT=left_ear EYE_RIGHT=right_eye EAR_RIGHT=right_ear
-""")  # fmt: skip
+    CLAVICLE_@=clavicle SHOULDER_@=shoulder ELBOW_@=elbow WRIST_@=wrist HAND_@=hand HANDTIP_@=hand_tip THUMB_@=thumb
+    HIP_@=hip KNEE_@=knee ANKLE_@=ankle FOOT_@=foot
+    HEAD=head NOSE=nose
+    EYE_@=eye EAR_@=ear
+""", ("LEFT", "RIGHT"))  # fmt: skip
 
 # Source: HA4M's feature files (UpSkel, ArmSkel).
 _HA4M_ARMS = """
-    CLAVICLE_L=left_clavicle SHOULDER_L=left_shoulder ELBOW_L=left_elbow WRIST_L=left_wrist
-    HAND_L=left_hand HANDTIP_L=left_hand_tip THUMB_L=left_thumb
-    CLAVICLE_R=right_clavicle SHOULDER_R=right_shoulder ELBOW_R=right_elbow WRIST_R=right_wrist
-    HAND_R=right_hand HANDTIP_R=right_hand_tip THUMB_R=right_thumb
+    CLAVICLE_@=clavicle SHOULDER_@=shoulder ELBOW_@=elbow WRIST_@=wrist HAND_@=hand HANDTIP_@=hand_tip THUMB_@=thumb
 """
-HA4M_ARMS_14 = _skeleton("HA4M arms 14", _HA4M_ARMS)
+HA4M_ARMS_14 = _skeleton("HA4M arms 14", _HA4M_ARMS, "LR")
 HA4M_UPPER_23 = _skeleton("HA4M upper 23", f"""
     SPINE_NAVAL=spine SPINE_CHEST=chest NECK=neck {_HA4M_ARMS}
-    HEAD=head NOSE=nose EYE_L=left_eye EAR_L=left_ear EYE_R=right_eye EAR_R=right_ear
-""")  # fmt: skip
+    HEAD=head NOSE=nose
+    EYE_@=eye EAR_@=ear
+""", "LR")  # fmt: skip
 
 # Source: Xsens MVN user manual. A segment's origin is its proximal joint, so UpperArm is the shoulder joint.
 XSENS_23 = _skeleton("Xsens 23", """
     Pelvis=pelvis L5=lumbar L3=spine T12=thorax T8=chest Neck=neck Head=head
-    RightShoulder=right_clavicle RightUpperArm=right_shoulder RightForeArm=right_elbow RightHand=right_wrist
-    LeftShoulder=left_clavicle LeftUpperArm=left_shoulder LeftForeArm=left_elbow LeftHand=left_wrist
-    RightUpperLeg=right_hip RightLowerLeg=right_knee RightFoot=right_ankle RightToe=right_foot
-    LeftUpperLeg=left_hip LeftLowerLeg=left_knee LeftFoot=left_ankle LeftToe=left_foot
-""")  # fmt: skip
+    @Shoulder=clavicle @UpperArm=shoulder @ForeArm=elbow @Hand=wrist
+    @UpperLeg=hip @LowerLeg=knee @Foot=ankle @Toe=foot
+""", ("Right", "Left"))  # fmt: skip
 
 # Source: COCO keypoint annotations.
 COCO_17 = _skeleton("COCO 17", """
@@ -169,15 +161,12 @@ MEDIAPIPE_33 = _skeleton("MediaPipe 33", """
 # Source: ZED SDK, BODY_34.
 ZED_34 = _skeleton("ZED 34", """
     PELVIS=pelvis NAVAL_SPINE=spine CHEST_SPINE=chest NECK=neck
-    LEFT_CLAVICLE=left_clavicle LEFT_SHOULDER=left_shoulder LEFT_ELBOW=left_elbow LEFT_WRIST=left_wrist
-    LEFT_HAND=left_hand LEFT_HANDTIP=left_hand_tip LEFT_THUMB=left_thumb
-    RIGHT_CLAVICLE=right_clavicle RIGHT_SHOULDER=right_shoulder RIGHT_ELBOW=right_elbow
-    RIGHT_WRIST=right_wrist RIGHT_HAND=right_hand RIGHT_HANDTIP=right_hand_tip RIGHT_THUMB=right_thumb
-    LEFT_HIP=left_hip LEFT_KNEE=left_knee LEFT_ANKLE=left_ankle LEFT_FOOT=left_foot
-    RIGHT_HIP=right_hip RIGHT_KNEE=right_knee RIGHT_ANKLE=right_ankle RIGHT_FOOT=right_foot
-    HEAD=head NOSE=nose LEFT_EYE=left_eye LEFT_EAR=left_ear RIGHT_EYE=right_eye RIGHT_EAR=right_ear
-    LEFT_HEEL=left_heel RIGHT_HEEL=right_heel
-""")  # fmt: skip
+    @_CLAVICLE=clavicle @_SHOULDER=shoulder @_ELBOW=elbow @_WRIST=wrist @_HAND=hand @_HANDTIP=hand_tip @_THUMB=thumb
+    @_HIP=hip @_KNEE=knee @_ANKLE=ankle @_FOOT=foot
+    HEAD=head NOSE=nose
+    @_EYE=eye @_EAR=ear
+    @_HEEL=heel
+""", ("LEFT", "RIGHT"))  # fmt: skip
 
 # Source: the human_robot_animations files. Points are marker clusters; the hand's stands for the wrist.
 VICON = _skeleton("Vicon bodies", """
@@ -188,9 +177,8 @@ VICON = _skeleton("Vicon bodies", """
 # Source: the KTH handover files. A frame's origin is its proximal joint, so UArm is the shoulder joint.
 KTH_13 = _skeleton("KTH 13", """
     hip=pelvis ab=spine chest neck head
-    LShoulder=left_clavicle LUArm=left_shoulder LFArm=left_elbow LHand=left_wrist
-    RShoulder=right_clavicle RUArm=right_shoulder RFArm=right_elbow RHand=right_wrist
-""")  # fmt: skip
+    @Shoulder=clavicle @UArm=shoulder @FArm=elbow @Hand=wrist
+""", "LR")  # fmt: skip
 
 # Source: the human_assembly_data files, columns in this order.
 LEGO_6 = _skeleton("LEGO 6", "left_wrist right_wrist left_elbow right_elbow left_shoulder right_shoulder")
@@ -199,20 +187,14 @@ LEGO_6 = _skeleton("LEGO 6", "left_wrist right_wrist left_elbow right_elbow left
 # Shoulder is the shoulder joint and the clavicle is called Collar.
 BVH_FOREARM = _skeleton("BVH forearm", """
     Hips=pelvis LowerBack=lumbar Spine=spine Spine1=thorax Spine2=chest Neck=neck Head=head
-    LeftShoulder=left_clavicle LeftArm=left_shoulder LeftForeArm=left_elbow LeftHand=left_wrist
-    RightShoulder=right_clavicle RightArm=right_shoulder RightForeArm=right_elbow RightHand=right_wrist
-    LeftUpLeg=left_hip LeftLeg=left_knee LeftFoot=left_ankle LeftToe=left_foot LeftToeBase=left_foot
-    RightUpLeg=right_hip RightLeg=right_knee RightFoot=right_ankle RightToe=right_foot RightToeBase=right_foot
-""")  # fmt: skip
+    @Shoulder=clavicle @Arm=shoulder @ForeArm=elbow @Hand=wrist
+    @UpLeg=hip @Leg=knee @Foot=ankle @Toe=foot @ToeBase=foot
+""", ("Left", "Right"))  # fmt: skip
 BVH_COLLAR = _skeleton("BVH collar", """
     Hips=pelvis Chest=spine Chest2=thorax Chest3=chest Neck=neck Head=head
-    LeftCollar=left_clavicle LeftShoulder=left_shoulder LeftElbow=left_elbow LeftWrist=left_wrist
-    LeftHand=left_wrist
-    RightCollar=right_clavicle RightShoulder=right_shoulder RightElbow=right_elbow RightWrist=right_wrist
-    RightHand=right_wrist
-    LeftHip=left_hip LeftKnee=left_knee LeftAnkle=left_ankle LeftToe=left_foot
-    RightHip=right_hip RightKnee=right_knee RightAnkle=right_ankle RightToe=right_foot
-""")  # fmt: skip
+    @Collar=clavicle @Shoulder=shoulder @Elbow=elbow @Wrist=wrist @Hand=wrist
+    @Hip=hip @Knee=knee @Ankle=ankle @Toe=foot
+""", ("Left", "Right"))  # fmt: skip
 
 SKELETONS = (
     AZURE_KINECT_32, HA4M_UPPER_23, HA4M_ARMS_14, XSENS_23, COCO_17, MEDIAPIPE_33, ZED_34, VICON, KTH_13,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,6 +29,10 @@ SHORT = 1e-6
 
 LEAST_RISE = 0.7
 """Neck and head must lie within 45° of world up, seen along the shoulder line: both nod and crane forward."""
+
+
+Series: TypeAlias = Float[np.ndarray, "N J 3"]
+Frames: TypeAlias = Float[np.ndarray, "N 4 4"]
 
 
 class UpSource(Enum):
@@ -62,15 +67,10 @@ class Torso:
     held: Bool[np.ndarray, "*batch"]
 
 
-def up_source(joints: Sequence[str], positions: Float[np.ndarray, "N J 3"]) -> UpSource:
+def up_source(joints: Sequence[str], positions: Series) -> UpSource:
     """The source a recording's up direction is read from: the first that serves at least half of its frames.
 
-    Args:
-        joints: canonical joint names.
-        positions: (N, J, 3) joint positions [m], world z up.
-
-    Returns:
-        The source; `WORLD` where none serves.
+    Takes joint names and positions (N, J, 3) [m], world z up; `WORLD` where none serves.
 
     Raises:
         DatasetError: a shoulder is not among the joints.
@@ -82,10 +82,7 @@ def up_source(joints: Sequence[str], positions: Float[np.ndarray, "N J 3"]) -> U
 
 
 def torso_frame(
-    joints: Sequence[str],
-    positions: Float[np.ndarray, "*N J 3"],
-    source: UpSource | None = None,
-    lean: float = 0.0,
+    joints: Sequence[str], positions: Float[np.ndarray, "*N J 3"], source: UpSource | None = None, lean: float = 0.0
 ) -> Torso:
     """Torso frame of one frame (J, 3) or of a series (N, J, 3): columns y × z, y, z, middle of the shoulders.
 
@@ -114,7 +111,7 @@ def torso_frame(
     return Torso(T.reshape(*batch, 4, 4), leans.reshape(batch), source, np.isnan(seen).reshape(batch))
 
 
-def _shoulder_frame(joints: Sequence[str], positions: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N 4 4"]:
+def _shoulder_frame(joints: Sequence[str], positions: Series) -> Frames:
     """The frame the shoulders alone give: leftward along them, up as near world up as can be; NaN where one is.
 
     Coincident shoulders face along world x, an upright shoulder line as near to it as can be: any choice, but never
@@ -141,23 +138,19 @@ def _shoulder_frame(joints: Sequence[str], positions: Float[np.ndarray, "N J 3"]
     return T
 
 
-def _lean(
-    source: UpSource, joints: Sequence[str], positions: Float[np.ndarray, "N J 3"], T: Float[np.ndarray, "N 4 4"]
-) -> Float[np.ndarray, " N"]:
+def _lean(source: UpSource, joints: Sequence[str], positions: Series, T: Frames) -> Float[np.ndarray, " N"]:
     """Forward lean [rad] from the shoulders' frame as the source shows it; NaN where it is missing or degenerate."""
     middle = T[:, :3, 3]
     if source is UpSource.WORLD:
         return 0.0 * middle.sum(axis=-1)
-    if source is UpSource.HIPS:
-        if not set(source.value) <= set(joints):
-            return np.full(len(positions), np.nan)
-        point = positions[:, [joints.index(name) for name in source.value]].mean(axis=1)
-    else:
-        point = np.full((len(positions), 3), np.nan)
+    point = np.full((len(positions), 3), np.nan)
+    if source is not UpSource.HIPS:
         for name in reversed(source.value):
             if name in joints:
                 other = positions[:, joints.index(name)]
                 point = np.where(np.isfinite(other), other, point)
+    elif set(source.value) <= set(joints):
+        point = positions[:, [joints.index(name) for name in source.value]].mean(axis=1)
     above = source in (UpSource.NECK, UpSource.HEAD)
     up = point - middle if above else middle - point
     ahead, rise = np.einsum("ni,nij->jn", up, T[:, :3, [0, 2]])

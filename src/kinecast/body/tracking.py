@@ -7,14 +7,12 @@ With hindsight (`fill`) both sides of a flaw are known. In the window an online 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt8
 
-from kinecast.errors import OptionError
 from kinecast.geometry.transforms import lengths
 
 # Measured by hiding known values of HA4M V001, LEGO Human2 and Vicon PickPlaceCloseHuman:
@@ -28,8 +26,25 @@ CARRY_ON = 0.05
 # A joint that has been elsewhere for longer than this really is there [s]. Two frames at 30 Hz leave less
 # error than one or three.
 TRUST_AFTER = 0.05
+
+MAX_SPEED = 8.0
+"""No joint moves faster [m/s]: finds the newest jump best on the HA4M and LEGO recordings."""
+MAX_ACCELERATION = 100.0
+"""No joint changes its velocity faster over a whole frame [m/s^2]: twice a hand shaken 5 times a second by 5 cm."""
+MIN_JUMP = 0.03
+"""Smaller departures are noise, never a jump [m]."""
+LONGEST_JUMP = 0.4
+"""A joint that stays away longer has moved, or was found again [s]; the longest slip of the HA4M clips is 0.37 s."""
 ROUNDING = 1e-6
 """Stamps differ by this [s] when they are meant to be as far apart as a limit."""
+
+
+Stamps: TypeAlias = Float[np.ndarray, " N"]
+Sound: TypeAlias = Bool[np.ndarray, " N"]
+Coordinates: TypeAlias = Float[np.ndarray, "N K"]
+Window: TypeAlias = Float[np.ndarray, "N J 3"]
+Windows: TypeAlias = Float[np.ndarray, "W N J 3"]
+Times: TypeAlias = Float[np.ndarray, "W N"]
 
 
 class Flaw(IntEnum):
@@ -61,36 +76,6 @@ class Trouble(IntFlag):
     """Missing in the two newest frames or flawed in more than half of them: better not predicted from."""
 
 
-@dataclass(frozen=True)
-class TrackingLimits:
-    """What separates a person's motion from a tracker's slip.
-
-    Attributes:
-        max_speed: no joint moves faster [m/s]. 8 finds the newest jump best on the HA4M and LEGO recordings.
-        max_acceleration: no joint changes its velocity faster over a whole frame [m/s^2]. Twice that of a
-            hand shaken 5 times a second by 5 cm.
-        min_jump: smaller departures are noise, never a jump [m].
-        longest_jump: a joint that stays away longer has moved, or its tracker has found it again [s]. The
-            longest slip of the HA4M clips takes 0.37 s.
-
-    Raises:
-        OptionError: a value that is not positive.
-    """
-
-    max_speed: float = 8.0
-    max_acceleration: float = 100.0
-    min_jump: float = 0.03
-    longest_jump: float = 0.4
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0:
-                raise OptionError(f"tracking limit {name} = {value} must be above 0")
-
-
-LIMITS = TrackingLimits()
-
-
 class WindowRepair(NamedTuple):
     """Windows made whole, and how."""
 
@@ -103,21 +88,15 @@ class WindowRepair(NamedTuple):
 
 
 def find_flaws(
-    positions: Float[np.ndarray, "*w N J 3"], stamps: Float[np.ndarray, "*w N"], limits: TrackingLimits = LIMITS
+    positions: Float[np.ndarray, "*w N J 3"], stamps: Float[np.ndarray, "*w N"]
 ) -> Int8[np.ndarray, "*w N J"]:
     """The `Flaw` of each value of a recording, or of each of many windows seen on its own.
 
-    A jump leaves with a jolt and returns with an opposite one within `limits.longest_jump`. A jolt is a step
-    faster than max_speed, or one that differs from the step before and from the step after by more than
-    min_jump + max_acceleration · dt². A joint that does not return has moved, and has no flaw.
+    A jump leaves with a jolt and returns with an opposite one within `LONGEST_JUMP`. A jolt is a step
+    faster than MAX_SPEED, or one that differs from the step before and from the step after by more than
+    MIN_JUMP + MAX_ACCELERATION · dt². A joint that does not return has moved, and has no flaw.
 
-    Args:
-        positions: (…, N, J, 3) [m], NaN where missing.
-        stamps: (…, N) [s], increasing.
-        limits: what counts as a jump.
-
-    Returns:
-        (…, N, J) values of `Flaw`.
+    Takes (…, N, J, 3) [m], NaN where missing, at increasing stamps (…, N) [s]; gives (…, N, J) values of `Flaw`.
     """
     missing = np.isnan(positions)
     equal = positions[..., 1:, :, :] == positions[..., :-1, :, :]
@@ -128,45 +107,43 @@ def find_flaws(
     windows = flaws.reshape(math.prod(flaws.shape[:-2]), *flaws.shape[-2:])
     tracks, times = positions.reshape(*windows.shape, 3), stamps.reshape(windows.shape[:2])
     flawed = np.asarray(windows.any(axis=1))
-    jolts = _jolts(tracks, times, limits)
+    jolts = _jolts(tracks, times)
     for w, j in np.argwhere(flawed | (jolts.sum(axis=1) > 1)):
         sound = np.flatnonzero(windows[w, :, j] == NONE)
         track, when = tracks[w, sound, j], times[w, sound]
-        found = _jolts(track[None, :, None], when[None], limits)[0, :, 0] if flawed[w, j] else jolts[w, :, j]
-        for first, back in _excursions(track, when, np.flatnonzero(found), limits.longest_jump):
+        found = _jolts(track[None, :, None], when[None])[0, :, 0] if flawed[w, j] else jolts[w, :, j]
+        for first, back in _excursions(track, when, np.flatnonzero(found)):
             away = windows[w, sound[first] : sound[back], j]
             away[away != MISSING] = JUMP
     return flaws
 
 
-def _jolts(
-    positions: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits
-) -> Bool[np.ndarray, "W N J"]:
+def _jolts(positions: Windows, stamps: Times) -> Bool[np.ndarray, "W N J"]:
     """Whether the step to each frame is too fast, or unlike the steps before and after it; all frames are sound."""
     jolts = np.zeros(positions.shape[:-1], dtype=np.bool_)
     if positions.shape[1] < 2:
         return jolts
     step, dt = np.diff(positions, axis=1), np.diff(stamps, axis=1)[..., None]
-    least = limits.min_jump + limits.max_acceleration * dt**2
+    least = MIN_JUMP + MAX_ACCELERATION * dt**2
     unlike = np.full(step.shape[:-1], positions.shape[1] > 2)
     with np.errstate(invalid="ignore"):  # NaN is missing, and unlike nothing
         velocity = step / dt[..., None]
         change = lengths(np.diff(velocity, axis=1))
         unlike[:, 1:] &= change * dt[:, 1:] > least[:, 1:]
         unlike[:, :-1] &= change * dt[:, :-1] > least[:, :-1]
-        jolts[:, 1:] = unlike | (lengths(step) > limits.min_jump + limits.max_speed * dt)
+        jolts[:, 1:] = unlike | (lengths(step) > MIN_JUMP + MAX_SPEED * dt)
     return jolts
 
 
 def _excursions(
-    track: Float[np.ndarray, "K 3"], stamps: Float[np.ndarray, " K"], jolts: Int[np.ndarray, " M"], longest: float
+    track: Float[np.ndarray, "K 3"], stamps: Float[np.ndarray, " K"], jolts: Int[np.ndarray, " M"]
 ) -> list[tuple[int, int]]:
     """Frames (first, back) between which a joint was away: a jolt, and within a time [s] one that takes it back."""
     found, after = [], 0
     for m in jolts.tolist():
         if m <= after:
             continue
-        for k in jolts[(jolts > m) & (stamps[jolts] - stamps[m] <= longest)].tolist():
+        for k in jolts[(jolts > m) & (stamps[jolts] - stamps[m] <= LONGEST_JUMP)].tolist():
             there, back = track[m] - track[m - 1], track[k] - track[k - 1]
             rest = min(np.linalg.norm(there + back), np.linalg.norm(track[k] - track[m - 1]))
             # It takes back the step, or ends near where it began, to half of the larger step.
@@ -178,22 +155,18 @@ def _excursions(
 
 
 def fill(
-    positions: Float[np.ndarray, "N J 3"],
-    stamps: Float[np.ndarray, " N"],
+    positions: Window,
+    stamps: Stamps,
     flaws: Int8[np.ndarray, "N J"],
     max_gap: float,
-) -> tuple[Float[np.ndarray, "N J 3"], Bool[np.ndarray, "N J"]]:
+) -> tuple[Window, Bool[np.ndarray, "N J"]]:
     """Flawed values interpolated between the sound ones on both sides, where these are close enough.
 
-    Args:
-        positions: (N, J, 3) [m].
-        stamps: (N,) [s], increasing.
-        flaws: (N, J) from `find_flaws`.
-        max_gap: longest time from the first flawed value to the next sound one [s].
+    `max_gap` is the longest time from the first flawed value to the next sound one [s]. Gaps too long or at an end hold
+    NaN for missing values and jumps and what was recorded for repeats.
 
     Returns:
-        (N, J, 3) positions, where gaps too long or at an end hold NaN for missing values and jumps and what
-        was recorded for repeats; and (N, J) True where a value was interpolated.
+        (N, J, 3) positions [m], and (N, J) True where a value was interpolated.
     """
     filled = positions.copy()
     touched = np.zeros(flaws.shape, dtype=np.bool_)
@@ -208,65 +181,54 @@ def fill(
     return filled, touched
 
 
-def repair_window(
-    positions: Float[np.ndarray, "N J 3"], stamps: Float[np.ndarray, " N"], limits: TrackingLimits = LIMITS
-) -> WindowRepair:
+def repair_window(positions: Window, stamps: Stamps) -> WindowRepair:
     """One window repaired from nothing but itself, as it must be online.
 
     Flaws inside are filled from both sides. At the end, a missing or repeated value is carried on at the last
     velocity, which fades out; the newest values are taken for a jump, and carried on likewise, where they
-    leave that way faster than `limits.max_speed`. Values before the first sound one are held.
+    leave that way faster than `MAX_SPEED`. Values before the first sound one are held.
 
-    Args:
-        positions: (N, J, 3) the window [m], oldest first, NaN where missing.
-        stamps: (N,) [s], increasing.
-        limits: what counts as a jump.
+    Takes the window (N, J, 3) [m], oldest first, NaN where missing, and its increasing stamps (N,) [s].
     """
-    repair = repair_windows(positions[None], stamps[None], limits)
+    repair = repair_windows(positions[None], stamps[None])
     return WindowRepair(repair.positions[0], repair.touched[0], repair.trouble[0])
 
 
-def repair_windows(
-    positions: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits = LIMITS
-) -> WindowRepair:
+def repair_windows(positions: Windows, stamps: Times) -> WindowRepair:
     """`repair_window` for many windows, each from nothing but itself."""
     repaired = positions.copy()
     touched = np.zeros(positions.shape[:-1], dtype=np.bool_)
     trouble = np.zeros((len(positions), positions.shape[2]), dtype=np.uint8)
-    suspects = np.flatnonzero(~_calm(positions, stamps, limits))
+    suspects = np.flatnonzero(~_calm(positions, stamps))
     if len(suspects):
-        some = _repaired(repaired[suspects], stamps[suspects], limits)
+        some = _repaired(repaired[suspects], stamps[suspects])
         repaired[suspects], touched[suspects], trouble[suspects] = some
     return WindowRepair(repaired, touched, trouble)
 
 
-def _calm(
-    positions: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits
-) -> Bool[np.ndarray, " W"]:
+def _calm(positions: Windows, stamps: Times) -> Bool[np.ndarray, " W"]:
     """Windows that cannot have a flaw, as most: nothing is missing or repeated, nothing moves fast enough.
 
     No step differs from another by more than twice the greatest speed, and nothing is carried on faster than it moved.
     """
     step, dt = positions[:, 1:] - positions[:, :-1], (stamps[:, 1:] - stamps[:, :-1])[..., None]
-    fastest = np.minimum(limits.max_speed * dt, limits.min_jump + limits.max_acceleration * dt**2)
+    fastest = np.minimum(MAX_SPEED * dt, MIN_JUMP + MAX_ACCELERATION * dt**2)
     with np.errstate(invalid="ignore"):
         slow = (lengths(step) <= 0.5 * fastest).all(axis=(1, 2))
     known = np.isfinite(positions[:, :1]).all(axis=(1, 2, 3))  # the others are, where steps are
     return np.asarray(slow & known & step.any(axis=(2, 3)).all(axis=1))
 
 
-def _repaired(
-    repaired: Float[np.ndarray, "W N J 3"], stamps: Float[np.ndarray, "W N"], limits: TrackingLimits
-) -> WindowRepair:
+def _repaired(repaired: Windows, stamps: Times) -> WindowRepair:
     """Windows looked at one by one."""
-    flaws = find_flaws(repaired, stamps, limits)
+    flaws = find_flaws(repaired, stamps)
     with np.errstate(invalid="ignore"):
         speed = lengths(np.diff(repaired, axis=1)) / np.diff(stamps, axis=1)[..., None]
-    suspicious = np.asarray(flaws.any(axis=1) | (speed > 0.5 * limits.max_speed).any(axis=1))
+    suspicious = np.asarray(flaws.any(axis=1) | (speed > 0.5 * MAX_SPEED).any(axis=1))
     for w in np.flatnonzero(suspicious.any(axis=1)):
         track, when, flaw = repaired[w], stamps[w], flaws[w]
         for j in np.flatnonzero(suspicious[w]):
-            _find_newest_jump(track[:, j], when, flaw[:, j], limits.max_speed)
+            _find_newest_jump(track[:, j], when, flaw[:, j])
         # Joints that suffer alike, as all do from a repeated frame, are repaired together.
         patterns, which = np.unique(flaw == NONE, axis=1, return_inverse=True)
         for k in range(patterns.shape[1]):
@@ -275,9 +237,7 @@ def _repaired(
     return WindowRepair(repaired, (flaws != NONE) & (flaws == NONE).any(axis=1, keepdims=True), _trouble(flaws))
 
 
-def _whole(
-    track: Float[np.ndarray, "N K 3"], stamps: Float[np.ndarray, " N"], sound: Bool[np.ndarray, " N"]
-) -> Float[np.ndarray, "N K 3"]:
+def _whole(track: Float[np.ndarray, "N K 3"], stamps: Stamps, sound: Sound) -> Float[np.ndarray, "N K 3"]:
     """Some joints of a window, sound in the same frames: bridged inside, carried on at the end, held at the start."""
     known = np.flatnonzero(sound)
     if len(known) in (0, len(sound)):
@@ -307,9 +267,7 @@ def _trouble(flaws: Int8[np.ndarray, "W N J"]) -> UInt8[np.ndarray, "W J"]:
     return trouble
 
 
-def _slope(
-    x: Float[np.ndarray, "N K"], stamps: Float[np.ndarray, " N"], sound: Bool[np.ndarray, " N"], i: int, way: int
-) -> Float[np.ndarray, " K"] | None:
+def _slope(x: Coordinates, stamps: Stamps, sound: Sound, i: int, way: int) -> Float[np.ndarray, " K"] | None:
     """Slope [m/s] of the sound values within SLOPE_TIME of frame i, going back (way -1) or on; None of only one."""
     end = np.searchsorted(stamps, stamps[i] + way * (SLOPE_TIME + ROUNDING))
     near = slice(end, i + 1) if way < 0 else slice(i, end)
@@ -322,9 +280,9 @@ def _slope(
 
 
 def _carried_on(
-    x: Float[np.ndarray, "N K"],
-    stamps: Float[np.ndarray, " N"],
-    sound: Bool[np.ndarray, " N"],
+    x: Coordinates,
+    stamps: Stamps,
+    sound: Sound,
     a: int,
     later: Float[np.ndarray, " L"],
 ) -> Float[np.ndarray, "L K"]:
@@ -334,9 +292,7 @@ def _carried_on(
     return x[a] + np.outer(way, np.zeros(x.shape[1]) if slope is None else slope)
 
 
-def _bridge(
-    x: Float[np.ndarray, "N K"], stamps: Float[np.ndarray, " N"], sound: Bool[np.ndarray, " N"], a: int, b: int
-) -> Float[np.ndarray, "L K"]:
+def _bridge(x: Coordinates, stamps: Stamps, sound: Sound, a: int, b: int) -> Float[np.ndarray, "L K"]:
     """Coordinates between the sound frames a and b: a cubic, end velocities half chord, half slope."""
     whole, chord = stamps[b] - stamps[a], x[b] - x[a]
     before, after = _slope(x, stamps, sound, a, -1), _slope(x, stamps, sound, b, 1)
@@ -346,10 +302,8 @@ def _bridge(
     return x[a] + chord * s + s * (1.0 - s) * (bend_before * (1.0 - s) - bend_after * s)
 
 
-def _find_newest_jump(
-    x: Float[np.ndarray, "N 3"], stamps: Float[np.ndarray, " N"], flaws: Int8[np.ndarray, " N"], max_speed: float
-) -> None:
-    """Flaws the newest values where all of them are off the way of those before, faster than max_speed."""
+def _find_newest_jump(x: Float[np.ndarray, "N 3"], stamps: Stamps, flaws: Int8[np.ndarray, " N"]) -> None:
+    """Flaws the newest values where all of them are off the way of those before, faster than MAX_SPEED."""
     sound = flaws == NONE
     known = np.flatnonzero(sound)
     for place in range(2, len(known)):
@@ -358,7 +312,7 @@ def _find_newest_jump(
             continue
         newest = known[place:]
         off = lengths(x[newest] - _carried_on(x, stamps, sound, a, stamps[newest]))
-        if (off > max_speed * (stamps[m] - stamps[a])).all():
+        if (off > MAX_SPEED * (stamps[m] - stamps[a])).all():
             rest = flaws[m:]
             rest[rest != MISSING] = JUMP
             return

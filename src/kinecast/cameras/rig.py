@@ -12,7 +12,7 @@ import yaml
 
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.errors import DatasetError, OptionError
-from kinecast.geometry.entries import Entry, built, parse_yaml, read_text
+from kinecast.geometry.entries import Entry, built, read_text
 from kinecast.geometry.transforms import from_quaternion, to_quaternion, transform
 
 MOST_CAMERAS, LONGEST_NAME = 16, 64
@@ -38,7 +38,7 @@ class Rig:
     @classmethod
     def from_yaml(cls, text: str, where: object = "rig") -> Rig:
         """The rig a YAML text describes, found in `where`; see `load`."""
-        root = Entry(where, "", parse_yaml(text, where), ("frame_id", "cameras"))
+        root = Entry.read(text, where, "frame_id", "cameras")
         frame_id = root.values.get("frame_id", "world")
         if not isinstance(frame_id, str) or not _is_name(frame_id):
             raise root.error(f"expected a name of 1 to {LONGEST_NAME} characters, found {frame_id!r}", "frame_id")

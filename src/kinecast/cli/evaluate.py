@@ -31,7 +31,7 @@ from kinecast.errors import OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import every_frame
-from kinecast.tasks.workers import Serial, Workers
+from kinecast.tasks import Serial, Workers
 
 DEFAULT_METHODS = (
     "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,gp_xyz,gp_angles,gp_constrained,kinecast"

@@ -19,7 +19,7 @@ from kinecast.prediction.kinecast.model import Kinecast, ablations
 from kinecast.prediction.method import Method
 from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
 from kinecast.prediction.plugins import is_plugin, train_plugin
-from kinecast.tasks.workers import Workers
+from kinecast.tasks import Workers
 
 
 @dataclass(frozen=True)

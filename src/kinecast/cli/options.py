@@ -14,7 +14,7 @@ from kinecast.cli.progress import note
 from kinecast.cli.recordings import FORMAT_NAMES
 from kinecast.errors import OptionError
 from kinecast.prediction.methods import METHODS
-from kinecast.tasks.workers import Serial, Workers
+from kinecast.tasks import Serial, Workers
 
 _METHODS = "".join(f"\n• {name}: {about}" for name, about in METHODS.items())
 
@@ -57,11 +57,11 @@ def check_seed(seed: int) -> None:
 
 @contextmanager
 def worker_pool(where: str | None) -> Iterator[Workers]:
-    """Workers for as long as they are needed: of a cluster (kinecast.tasks.cluster.cluster_at), or this process."""
+    """Workers for as long as they are needed: of a cluster (kinecast.tasks.cluster_at), or this process."""
     if where is None:
         yield Serial()
         return
-    from kinecast.tasks.cluster import cluster_at  # here, since clusters are an extra
+    from kinecast.tasks import cluster_at  # here, since clusters are an extra
 
     with cluster_at(where) as cluster:
         count = len(cluster.client.scheduler_info(n_workers=-1)["workers"])

@@ -68,17 +68,11 @@ def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor)
     covariance = np.concatenate([prediction.covariance.reshape(-1, 3, 3) for prediction in predictions])
     return Rows(
         stamp=np.repeat(np.concatenate([prediction.times for prediction in predictions]), len(joints)),
-        person=_repeated([prediction.person for prediction in predictions], each),
+        person=Words.of([prediction.person for prediction in predictions], each),
         joint=Words.of(joints * int(steps.sum())),
         position=np.concatenate([prediction.mean.reshape(-1, 3) for prediction in predictions]),
         covariance=covariance[:, *np.triu_indices(3)],  # xx, xy, xz, yy, yz, zz
-        label=_repeated([prediction.status.name for prediction in predictions], each),
+        label=Words.of([prediction.status.name for prediction in predictions], each),
         made=np.repeat([prediction.stamp for prediction in predictions], each),
         metadata={"what": "predictions", "source": source.name, "rate": 1.0 / predictor.method.dt},
     )
-
-
-def _repeated(words: Sequence[str], times: np.ndarray) -> Words:
-    """A column of words, each so many times."""
-    once = Words.of(words)
-    return Words(once.names, np.repeat(once.codes, times))

@@ -47,15 +47,8 @@ def load(path: Path) -> list[Recording]:
         raise DatasetError(path, f"no {missing} beside it or in annotations/labels_csv2 above")
     (motion,) = mvnx.load(path)
     trial = _TRIAL.search(motion.name)
-    return [
-        replace(
-            motion,
-            format="andy",
-            subject=trial[1] if trial else motion.subject,
-            task=trial[2] if trial else "",
-            labels=_frame_labels(labels, motion.stamps),
-        )
-    ]
+    subject, task = trial.groups() if trial else (motion.subject, "")
+    return [replace(motion, format="andy", subject=subject, task=task, labels=_frame_labels(labels, motion.stamps))]
 
 
 def _label_file(path: Path) -> Path | None:

@@ -39,23 +39,15 @@ UNSAFE = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
 
 @dataclass(frozen=True)
 class PublicSet:
-    """A set of recordings on the net.
-
-    Attributes:
-        name: what `download` calls it.
-        about: one line.
-        licence: its name.
-        home: page to read first: licence and how to cite.
-        url: address its files stand under; the address of its record where there is no list of files.
-        files: name to sha256 and bytes, from verified copies; None for a Zenodo record, which lists its own.
-    """
+    """A set of recordings on the net."""
 
     name: str
-    about: str
+    about: str  # one line
     licence: str
-    home: str
-    url: str
+    home: str  # page to read first: licence and how to cite
+    url: str  # its files stand under it; of its record where there is no list of files
     files: Mapping[str, Mapping[str, str | int]] | None
+    """Name to sha256 and bytes, from verified copies; None for a Zenodo record, which lists its own."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +101,8 @@ def download(
     known = public_sets()
     if name not in known:
         raise OptionError(f"no public set {name!r}; there are {', '.join(known)}")
-    remotes = [file for file in _listing(known[name], url or known[name].url) if fnmatchcase(file.name, only)]
+    listed = _record if known[name].files is None else _table
+    remotes = [file for file in listed(known[name], url or known[name].url) if fnmatchcase(file.name, only)]
     if not remotes:
         raise DownloadError(f"{name}: no file matches {only!r}")
     root = Path(folder)
@@ -118,12 +111,12 @@ def download(
     root.mkdir(parents=True, exist_ok=True)
     if missing > (free := shutil.disk_usage(root).free):
         raise DownloadError(f"{name}: {missing / 1e9:.2f} GB are missing, {root} has {free / 1e9:.2f} GB left")
-    task = None if progress is None else progress.add_task(name, total=sum(remote.size for remote in remotes))
+    bar = Progress(disable=True) if progress is None else progress
+    task = bar.add_task(name, total=sum(remote.size for remote in remotes))
     done = 0
 
     def advance(present: int) -> None:
-        if progress is not None and task is not None:
-            progress.update(task, completed=done + present)
+        bar.update(task, completed=done + present)
 
     for remote, target in zip(remotes, targets, strict=True):
         _fetch(remote, target, advance, patience)
@@ -147,18 +140,16 @@ def _target(root: Path, name: str) -> Path:
     return target
 
 
-def _listing(public: PublicSet, url: str) -> list[RemoteFile]:
-    """What there is to download."""
-    if public.files is None:
-        return _zenodo_listing(public, url)
+def _table(public: PublicSet, url: str) -> list[RemoteFile]:
+    """The files of kinecast's own list."""
     base = url if url.endswith("/") else url + "/"
     return [
         RemoteFile(name, base + quote(name), f"sha256:{facts['sha256']}", int(facts["bytes"]))
-        for name, facts in public.files.items()
+        for name, facts in (public.files or {}).items()
     ]
 
 
-def _zenodo_listing(public: PublicSet, url: str) -> list[RemoteFile]:
+def _record(public: PublicSet, url: str) -> list[RemoteFile]:
     """The files of a Zenodo record, with the checksums its API states."""
     try:
         with _open(url, {"Accept": "application/json"}) as response:

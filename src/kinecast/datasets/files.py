@@ -137,22 +137,13 @@ def numbers(cells: Sequence[str], names: Sequence[str], path: Path, line: int, i
 
 
 def rows(
-    text: bytes,
-    columns: int,
-    path: Path,
-    *,
-    delimiter: str | None = ",",
-    first_line: int = 1,
-    use: Sequence[int] | None = None,
-) -> Float[np.ndarray, "N C"]:
+    text: bytes, columns: int, path: Path, *,
+    delimiter: str | None = ",", first_line: int = 1, use: Sequence[int] | None = None,
+) -> Float[np.ndarray, "N C"]:  # fmt: skip
     """(N, C) numbers of lines, NaN where a cell is empty or says nan; blank lines are passed over.
 
-    Args:
-        text, columns: the lines, and how many cells each has.
-        path: file for the message.
-        delimiter: one character between cells; None for any white space.
-        first_line: line of the file on which `text` starts, for the message.
-        use: places of the C cells to read, in this order; None for all.
+    A line has `columns` cells, a `delimiter` (None for any white space) between them; `use` are the places of the C
+    cells to read, in this order, None for all. `text` starts on `first_line` of the file, for the message.
 
     Raises:
         DatasetError: no rows, a wrong column count, or a cell that is no number; names line and column.

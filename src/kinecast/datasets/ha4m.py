@@ -50,13 +50,7 @@ def load(path: Path) -> list[Recording]:
         raise DatasetError(path, "expected a clip's folder with frame files in Skeletons/<camera>/FrameID<N>_*.txt")
     label_files = sorted([*path.glob("Labels.txt*"), *path.glob("*/Labels.txt*")])
     labels = _clip_labels(label_files[0]) if label_files else None
-    clip = path.absolute().name
-    names = [clip if len(cameras) == 1 else f"{clip}/{camera.name}" for camera in cameras]
-    return [
-        recording
-        for camera, name in zip(cameras, names, strict=True)
-        for recording in _bodies(camera, name, path, labels)
-    ]
+    return [recording for camera in cameras for recording in _bodies(camera, len(cameras) == 1, path, labels)]
 
 
 def matches_features(path: Path) -> bool:
@@ -95,20 +89,21 @@ def _subject(clip: str) -> str:
     return found[1] if found else ""
 
 
-def _bodies(camera: Path, name: str, path: Path, labels: dict[int, str] | None) -> Iterator[Recording]:
+def _bodies(camera: Path, alone: bool, path: Path, labels: dict[int, str] | None) -> Iterator[Recording]:
     """One camera's recordings, the longest first."""
+    clip = path.absolute().name
+    name = clip if alone else f"{clip}/{camera.name}"
     tracks: dict[int, dict[int, Float[np.ndarray, "J 3"]]] = {}
     for frame, file in _frames(camera):
         for body, positions in _frame_bodies(file).items():
             tracks.setdefault(body, {})[frame] = positions
-    longest_first = sorted(tracks, key=lambda body: (-len(tracks[body]), body))
-    short = [body for body in longest_first[1:] if len(tracks[body]) < 2]
+    first, *others = sorted(tracks, key=lambda body: (-len(tracks[body]), body)) or [-1]
+    short = [body for body in others if len(tracks[body]) < 2]
     note = f"bodies seen in one frame only, left out: {', '.join(map(str, short))}"
-    for body in (body for body in longest_first if body not in short):
-        first = body == longest_first[0]
+    for body in (body for body in (first, *others) if body in tracks and body not in short):
         frames = np.array(list(tracks[body]))
         yield Recording(
-            name=name if first else f"{name}/body{body}",
+            name=name if body == first else f"{name}/body{body}",
             joints=AZURE_KINECT_32.joints,
             stamps=(frames - frames[0]) / _RATE,
             positions=from_camera(np.stack(list(tracks[body].values()))) / 1000.0,
@@ -116,10 +111,10 @@ def _bodies(camera: Path, name: str, path: Path, labels: dict[int, str] | None) 
             source=path,
             format="ha4m",
             person=str(body),
-            subject=_subject(path.absolute().name),
+            subject=_subject(clip),
             task=_TASK,
             labels=None if labels is None else tuple(labels.get(int(frame), "") for frame in frames),
-            notes=(note,) if short and first else (),
+            notes=(note,) if short and body == first else (),
         )
 
 
@@ -191,14 +186,10 @@ def _feature_labels(path: Path, frames: int) -> tuple[str, ...] | None:
 
 def _features(path: Path) -> tuple[Float[np.ndarray, "C T"], Skeleton]:
     """The file's array, its header checked before anything is loaded."""
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     data = io.BytesIO(head(path))
     try:
-        version = np.lib.format.read_magic(data)
-        read_header = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[version]
-        shape, _, dtype = read_header(data)
+        shape, _, dtype = readers[np.lib.format.read_magic(data)](data)
     except (ValueError, KeyError, EOFError, SyntaxError, TokenError) as error:
         raise DatasetError(path, f"not a NumPy array of version 1 or 2: {error}") from error
     if dtype != np.float64 or len(shape) != 2 or shape[0] not in _FEATURES:

@@ -33,17 +33,13 @@ _UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
 
 @dataclass(frozen=True)
 class Format:
-    """A format of recordings.
+    """A format of recordings."""
 
-    Attributes:
-        name: on the command line.
-        matches: whether a file or folder is of it, by its content, plain or compressed.
-        load: every recording in it; DatasetError, with file and line, where anything is not as the format has it.
-    """
-
-    name: str
+    name: str  # on the command line
     matches: Callable[[Path], bool]
+    """Whether a file or folder is of it, by its content, plain or compressed."""
     load: Callable[[Path], list[Recording]]
+    """Every recording in it; DatasetError, with file and line, where anything is not as the format has it."""
 
 
 def _formats(options: BvhOptions) -> tuple[Format, ...]:
@@ -66,16 +62,14 @@ FORMATS = tuple(sorted(each.name for each in _formats(CENTIMETRES_Y_UP)))
 
 
 def load(path: str | Path, format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
-    """Every recording in a file or folder.
+    """Every recording in a file, or in a folder and all folders in it; at least one, by path, of unique names.
+
+    Hidden files and those that match no format are passed over.
 
     Args:
-        path: a file, or a folder searched with all folders in it. Hidden ones and files that match no
-            format are passed over.
+        path: the file or folder.
         format: one of `FORMATS`; None to find it by content.
         bvh_options: unit and vertical axis of BVH files.
-
-    Returns:
-        At least one recording, by path; names are unique.
 
     Raises:
         DatasetError: nothing is found, a file does not match its format, or a recording fails `check`.

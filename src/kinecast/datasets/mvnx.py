@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Sequence
 from pathlib import Path
 from xml.parsers import expat
 
@@ -44,7 +43,31 @@ def load(path: Path) -> list[Recording]:
     whole milliseconds are too coarse. A csv twin is read at an assumed 240 Hz, from its columns
     `position_<Segment>_x`, `_y`, `_z` [m] in upper or lower case. Document types and entities are refused.
     """
-    return [_load_csv(path) if not _is_mvnx(path) and _is_csv(path) else _load_mvnx(path)]
+    subject, rate, notes = "", _CSV_RATE, ["rate not stated by the format; 240 Hz assumed"]
+    if not _is_mvnx(path) and _is_csv(path):
+        segments, positions = _read_csv(path)
+        stamps = np.arange(len(positions)) / _CSV_RATE
+    else:
+        document = _Document(path)
+        subject, rate, segments = document.subject, document.rate, document.segments
+        stamps = (np.array(document.indices) - document.indices[0]) / rate
+        positions = np.array(document.positions).reshape(len(stamps), len(segments), 3)
+        others = [name for name in segments if not XSENS_23.find(name)]
+        notes = [f"segments left out: {', '.join(others)}"] if others else []
+    known = [place for place, name in enumerate(segments) if XSENS_23.find(name)]
+    return [
+        Recording(
+            name=sequence_name(path),
+            joints=XSENS_23.canonical([segments[place] for place in known], path),
+            stamps=stamps,
+            positions=positions[:, known],
+            rate=rate,
+            source=path,
+            format="mvnx",
+            subject=subject,
+            notes=tuple(notes),
+        )
+    ]
 
 
 def sequence_name(path: Path) -> str:
@@ -52,24 +75,8 @@ def sequence_name(path: Path) -> str:
     return base_name(path).removesuffix(".xsens")
 
 
-def _recording(
-    path: Path, segments: Sequence[str], stamps: Float[np.ndarray, " N"], positions: Float[np.ndarray, "N S 3"],
-    rate: float, subject: str = "", notes: tuple[str, ...] = (),
-) -> Recording:  # fmt: skip
-    return Recording(
-        name=sequence_name(path),
-        joints=XSENS_23.canonical(segments, path),
-        stamps=stamps,
-        positions=positions,
-        rate=rate,
-        source=path,
-        format="mvnx",
-        subject=subject,
-        notes=notes,
-    )
-
-
-def _load_csv(path: Path) -> Recording:
+def _read_csv(path: Path) -> tuple[list[str], Float[np.ndarray, "N S 3"]]:
+    """The known segments, and their positions."""
     (header,), data = split_lines(read_bytes(path), 1, path)
     names = [name.strip() for name in header.split(",")]
     segments: dict[str, dict[str, int]] = {}
@@ -82,36 +89,11 @@ def _load_csv(path: Path) -> Recording:
             problem = f"segment {segment} has columns for {', '.join(axes)}, expected x, y, z"
             raise DatasetError(f"{path}, line 1", problem)
     table = rows(data, len(names), path, first_line=2, use=[axes[axis] for axes in segments.values() for axis in "xyz"])
-    positions = table.reshape(len(table), len(segments), 3)
-    notes = ("rate not stated by the format; 240 Hz assumed",)
-    return _recording(path, list(segments), np.arange(len(table)) / _CSV_RATE, positions, _CSV_RATE, notes=notes)
-
-
-def _load_mvnx(path: Path) -> Recording:
-    document = _Document(path)
-    for piece in chunks(path):
-        document.feed(piece)
-    document.feed(b"", last=True)
-    if not document.indices:
-        raise DatasetError(path, "no frame of type normal with positions")
-    segments = document.segments
-    stamps = (np.array(document.indices) - document.indices[0]) / document.rate
-    positions = np.array(document.positions).reshape(len(stamps), len(segments), 3)
-    known = [place for place, name in enumerate(segments) if XSENS_23.find(name)]
-    others = [name for name in segments if not XSENS_23.find(name)]
-    return _recording(
-        path,
-        [segments[place] for place in known],
-        stamps,
-        positions[:, known],
-        document.rate,
-        document.subject,
-        (f"segments left out: {', '.join(others)}",) if others else (),
-    )
+    return list(segments), table.reshape(len(table), len(segments), 3)
 
 
 class _Document:
-    """What has been read of one file: segment names, and the positions of the normal frames so far."""
+    """What a file holds: segment names, and indices and positions of its normal frames; refused if there are none."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -127,16 +109,18 @@ class _Document:
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = self._end
         self._parser.StartDoctypeDeclHandler = self._refuse_doctype
+        try:
+            for piece in chunks(path):
+                self._parser.Parse(piece, False)
+            self._parser.Parse(b"", True)
+        except expat.ExpatError as error:
+            raise DatasetError(f"{path}, line {error.lineno}", f"broken XML: {error}") from error
+        if not self.indices:
+            raise DatasetError(path, "no frame of type normal with positions")
 
     @property
     def _where(self) -> str:
         return f"{self.path}, line {self._parser.CurrentLineNumber}"
-
-    def feed(self, piece: bytes, last: bool = False) -> None:
-        try:
-            self._parser.Parse(piece, last)
-        except expat.ExpatError as error:
-            raise DatasetError(f"{self.path}, line {error.lineno}", f"broken XML: {error}") from error
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         namespace, _, name = tag.rpartition(" ")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import DatasetError
 
 
@@ -77,6 +78,11 @@ class Recording:
             return np.full((len(self.stamps), 3), np.nan)
         return self.positions[:, self.joints.index(name)]
 
+    @property
+    def arms(self) -> Float[np.ndarray, "N 6 3"]:
+        """(N, 6, 3) positions [m] of `ARM_JOINTS`."""
+        return np.stack([self.joint(name) for name in ARM_JOINTS], axis=1)
+
     def select(self, frames: slice) -> Recording:
         """The same recording, a range of its frames."""
         labels = None if self.labels is None else self.labels[frames]
@@ -109,51 +115,50 @@ class Description:
         if not isinstance(self.rate, float | int) or not isinstance(self.labelled, bool | None):
             raise TypeError(f"rate {self.rate!r} is no number, or labelled {self.labelled!r} not true or false")
 
+    def recording(
+        self, stamps: Float[np.ndarray, " N"], positions: Float[np.ndarray, "N J 3"], labels: tuple[str, ...] | None
+    ) -> Recording:
+        """The recording of these frames."""
+        return Recording(
+            self.name, tuple(self.joints), stamps, positions, self.rate,
+            source=None if self.source is None else Path(self.source), format=self.format, person=self.person,
+            subject=self.subject, task=self.task, labels=labels, notes=tuple(self.notes),
+        )  # fmt: skip
+
 
 def describe(recording: Recording) -> Description:
     """What a recording is beside its frames."""
+    r = recording
+    source = None if r.source is None else str(r.source)
     return Description(
-        name=recording.name,
-        person=recording.person,
-        joints=list(recording.joints),
-        rate=recording.rate,
-        source=None if recording.source is None else str(recording.source),
-        format=recording.format,
-        subject=recording.subject,
-        task=recording.task,
-        notes=list(recording.notes),
-        labelled=recording.labels is not None,
-    )
+        r.name, r.person, list(r.joints), r.rate, source, r.format, r.subject, r.task, list(r.notes),
+        labelled=r.labels is not None,
+    )  # fmt: skip
 
 
 def differences(before: Sequence[Recording], after: Sequence[Recording]) -> list[str]:
     """What is not the same in recordings of different persons and those read back, in words; none if every bit is."""
-    found: dict[str, None] = {}
+    found: list[str] = []
     back = {recording.person: recording for recording in after}
     for recording in before:
-        if recording.person not in back:
-            found[f"person {recording.person}"] = None
-            continue
-        for line in _between(recording, back.pop(recording.person)):
-            found[f"{line} (person {recording.person})" if len(before) > 1 else line] = None
-    found |= dict.fromkeys(f"nothing, but person {person} is new" for person in back)
-    return list(found)
+        person = recording.person
+        if person in back:
+            lines = _between(recording, back.pop(person))
+            found += [f"{line} (person {person})" if len(before) > 1 else line for line in lines]
+        else:
+            found.append(f"person {person}")
+    return list(dict.fromkeys([*found, *(f"nothing, but person {person} is new" for person in back)]))
 
 
 def _between(a: Recording, b: Recording) -> list[str]:
     """What is not the same in two recordings of one person."""
-    lines = []
-    for name in ("name", "format", "subject", "task", "labels"):
-        one, other = getattr(a, name), getattr(b, name)
-        if one != other:
-            lines.append(f"{name}: {_short(one)} became {_short(other)}")
-    if a.source is not None and a.source != b.source:
-        lines.append(f"source: {_short(a.source)} became {_short(b.source)}")
-    lines.extend(f"note: {note}" for note in a.notes if note not in b.notes)
+    names = ["name", "format", "subject", "task", "labels", *(["source"] if a.source else [])]
+    pairs = [(name, getattr(a, name), getattr(b, name)) for name in names]
+    lines = [f"{name}: {_short(one)} became {_short(other)}" for name, one, other in pairs if one != other]
+    lines += [f"note: {note}" for note in a.notes if note not in b.notes]
     if a.rate != b.rate:
         lines.append(f"rate: {a.rate!r} Hz became {b.rate!r} Hz")
-    missing = [joint for joint in a.joints if joint not in b.joints]
-    if missing:
+    if missing := [joint for joint in a.joints if joint not in b.joints]:
         lines.append(f"joints: {', '.join(missing)}")
     elif a.joints != b.joints:
         lines.append("order of the joints")
@@ -163,10 +168,9 @@ def _between(a: Recording, b: Recording) -> list[str]:
         lines.append(f"stamps: moved by up to {np.abs(a.stamps - b.stamps).max():.3g} s")
     for joint in (joint for joint in a.joints if joint in b.joints):
         one, other = a.joint(joint), b.joint(joint)
-        if (np.isnan(one) != np.isnan(other)).any():
-            lines.append(
-                f"{joint}: seen in {np.isfinite(one).sum() // 3} frames became {np.isfinite(other).sum() // 3}"
-            )
+        seen, still = np.isfinite(one), np.isfinite(other)
+        if (seen != still).any():
+            lines.append(f"{joint}: seen in {seen.sum() // 3} frames became {still.sum() // 3}")
         away = np.nanmax(np.abs(one - other), initial=0.0)
         if away > 0:
             lines.append(f"{joint}: moved by up to {1e3 * away:.3g} mm")
@@ -175,10 +179,8 @@ def _between(a: Recording, b: Recording) -> list[str]:
 
 def _short(value: object) -> str:
     """A value in a line."""
-    if isinstance(value, Path):
-        value = value.name
     if value in (None, "", ()):
         return "nothing"
     if isinstance(value, tuple):
         return f"{len(value)} of them" if len(value) > 3 else ", ".join(map(str, value))
-    return str(value)
+    return value.name if isinstance(value, Path) else str(value)

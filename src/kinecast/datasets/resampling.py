@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,8 +20,18 @@ MOST_FRAMES = 10_000_000
 SAME = 1e-9
 """Stamps this close are one [s]."""
 
+Stamps: TypeAlias = Float[np.ndarray, " N"]
+Wanted: TypeAlias = Float[np.ndarray, " K"]
 
-def measured_rate(stamps: Float[np.ndarray, " N"]) -> float:
+
+def check_rate(rate: float) -> None:
+    """OptionError for a rate outside `RATE_RANGE`."""
+    lowest, highest = RATE_RANGE
+    if not lowest <= rate <= highest:
+        raise OptionError(f"rate is {rate} Hz, allowed is {lowest:g} to {highest:g} Hz")
+
+
+def measured_rate(stamps: Stamps) -> float:
     """Frames per second as the stamps have it: one over their median step; NaN for fewer than two."""
     return float(1.0 / np.median(np.diff(stamps))) if len(stamps) > 1 else float("nan")
 
@@ -36,9 +47,7 @@ def resample(recording: Recording, rate: float) -> Recording:
         OptionError: rate outside `RATE_RANGE`.
         DatasetError: fewer than two frames, or a duration that makes more than `MOST_FRAMES` of them.
     """
-    lowest, highest = RATE_RANGE
-    if not lowest <= rate <= highest:
-        raise OptionError(f"rate is {rate} Hz, allowed is {lowest:g} to {highest:g} Hz")
+    check_rate(rate)
     where = recording.source or recording.name
     if len(recording.stamps) < 2:
         raise DatasetError(where, f"{len(recording.stamps)} frame; resampling needs at least 2")
@@ -49,36 +58,29 @@ def resample(recording: Recording, rate: float) -> Recording:
     stamps = recording.stamps[0] + np.arange(count) / rate
     if count == len(recording.stamps) and np.abs(stamps - recording.stamps).max() < 1e-6:
         return replace(recording, rate=rate)
-    labels = recording.labels
-    if labels is not None:
-        labels = tuple(labels[i] for i in _nearest(recording.stamps, stamps))
     return replace(
         recording,
         stamps=stamps,
         positions=_interpolated(recording, stamps, 1.5 / source_rate),
         rate=rate,
-        labels=labels,
+        labels=recording.labels and tuple(recording.labels[i] for i in _nearest(recording.stamps, stamps)),
         notes=(*recording.notes, f"resampled from {source_rate:.4g} to {rate:g} Hz"),
     )
 
 
-def _interpolated(
-    recording: Recording, wanted: Float[np.ndarray, " K"], longest_step: float
-) -> Float[np.ndarray, "K J 3"]:
+def _interpolated(recording: Recording, wanted: Wanted, longest_step: float) -> Float[np.ndarray, "K J 3"]:
     stamps = recording.stamps
     right = np.minimum(np.searchsorted(stamps, wanted - SAME), len(stamps) - 1)
     left = np.where(np.abs(stamps[right] - wanted) <= SAME, right, np.maximum(right - 1, 0))
     step = stamps[right] - stamps[left]
     share = ((wanted - stamps[left]) / np.where(step > 0, step, 1.0) * (step > 0))[:, None, None]
-    positions = recording.positions[left]
-    positions *= 1.0 - share
+    positions = recording.positions[left] * (1.0 - share)
     positions += share * recording.positions[right]
-    positions[~np.isfinite(positions).all(axis=-1)] = np.nan
-    positions[step > longest_step] = np.nan
+    positions[(step > longest_step)[:, None] | ~np.isfinite(positions).all(axis=-1)] = np.nan
     return positions
 
 
-def _nearest(stamps: Float[np.ndarray, " N"], wanted: Float[np.ndarray, " K"]) -> Int[np.ndarray, " K"]:
+def _nearest(stamps: Stamps, wanted: Wanted) -> Int[np.ndarray, " K"]:
     """Index of the stamp nearest to each wanted one."""
     right = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1)
     left_is_nearer = wanted - stamps[right - 1] <= stamps[right] - wanted

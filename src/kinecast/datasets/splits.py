@@ -11,17 +11,11 @@ from kinecast.errors import DatasetError
 
 @dataclass(frozen=True)
 class Split:
-    """Recordings to train on, and to test on.
-
-    Attributes:
-        train: not empty.
-        test: not empty; shares no group with train.
-        held_out: the groups in test.
-    """
+    """Recordings to train on, and to test on; neither is empty, and they share no group."""
 
     train: tuple[Recording, ...]
     test: tuple[Recording, ...]
-    held_out: tuple[str, ...]
+    held_out: tuple[str, ...]  # the groups in test
 
 
 def by_recording(recording: Recording) -> str:
@@ -30,12 +24,12 @@ def by_recording(recording: Recording) -> str:
 
 
 def by_subject(recording: Recording) -> str:
-    """Who is recorded."""
+    """Who is recorded; DatasetError where that is not known."""
     return _known(recording, "subject", recording.subject)
 
 
 def by_task(recording: Recording) -> str:
-    """What is being done."""
+    """What is being done; DatasetError where that is not known."""
     return _known(recording, "task", recording.task)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -32,90 +33,74 @@ SPEED_JOINTS = tuple(joint for joint in ARM_JOINTS if "shoulder" not in joint)
 
 @dataclass(frozen=True)
 class Summary:
-    """What a recording holds.
-
-    Attributes:
-        name, source, format, person, subject, task, rate, notes: as in the recording; source "" for generated ones.
-        frames: how many.
-        duration: [s].
-        measured_rate: one over the median step of the stamps [Hz].
-        longest_step: longest time between two frames [s].
-        joint_names: every joint tracked.
-        labels: frames per label, most frequent first.
-        repeated_frames: copies of the frame before.
-        joints: per joint `missing` (share of frames without it), `gaps` (how often it is lost), `longest_gap` [s],
-            `jumps` (how often it is thrown aside and comes back), and the frames that a repair would have
-            `interpolated`, repeats included, and `left_missing`.
-        bones: per bone of both arms, and the shoulder width: `median` length [m], and `variation`, half the 5-95 %
-            range as a share of it; NaN where never seen.
-        speeds: of elbows and wrists over one frame, repeats and jumps left out: `p50`, `p99`, `max` [m/s].
-        outside_range: share of frames, after a repair, with an arm angle outside `JointLimits`; NaN where the
-            arms are never seen.
-        too_fast: share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow.
-    """
+    """What a recording holds; numbers are NaN where nothing was seen. Names and notes are as in the recording."""
 
     name: str
-    source: str
+    source: str  # "" for generated ones
     format: str
     person: str
     subject: str
     task: str
     frames: int
-    duration: float
-    rate: float
-    measured_rate: float
-    longest_step: float
+    duration: float  # [s]
+    rate: float  # as stated [Hz]
+    measured_rate: float  # one over the median step of the stamps [Hz]
+    longest_step: float  # between two frames [s]
     joint_names: tuple[str, ...]
     labels: Mapping[str, int]
+    """Frames per label, most frequent first."""
     repeated_frames: int
+    """Copies of the frame before."""
     joints: Mapping[str, Mapping[str, float]]
+    """Per joint `missing` (share of frames without it), `gaps` (how often it is lost), `longest_gap` [s], `jumps` (how
+    often it is thrown aside and comes back), and the frames that a repair would have `interpolated`, repeats included,
+    and `left_missing`."""
     bones: Mapping[str, Mapping[str, float]]
+    """Per bone of both arms, and the shoulder width: `median` length [m], and `variation`, half the 5-95 % range as a
+    share of it."""
     speeds: Mapping[str, Mapping[str, float]]
+    """Of elbows and wrists over one frame, repeats and jumps left out: `p50`, `p99`, `max` [m/s]."""
     outside_range: float
+    """Share of frames, after a repair, with an arm angle outside `JointLimits`."""
     too_fast: float
+    """Share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow."""
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, object]:
         """Plain dicts, lists and numbers; None for NaN."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
+        plain: dict[str, object] = json.loads(json.dumps(asdict(self)), parse_constant=lambda _: None)
+        return plain
 
     def lines(self) -> list[str]:
         """The summary in words, one fact a line."""
         person = f", person {self.person}" if self.person not in ("", "0") else ""
         measured = f"measured {self.measured_rate:.4g} Hz, longest step {1e3 * self.longest_step:.0f} ms"
-        lines = [
-            f"{self.name}: {self.format}{person}, {self.frames} frames, {self.duration:.1f} s at "
-            f"{self.rate:g} Hz ({measured})",
-            f"  {len(self.joint_names)} joints: {', '.join(self.joint_names)}",
-        ]
+        length = f"{self.frames} frames, {self.duration:.1f} s at {self.rate:g} Hz ({measured})"
+        facts = [f"{len(self.joint_names)} joints: {', '.join(self.joint_names)}"]
         if self.labels:
-            lines.append("  labels: " + ", ".join(f"{label} ({count})" for label, count in self.labels.items()))
-        lines.append(f"  repeated frames: {self.repeated_frames} ({self.repeated_frames / self.frames:.1%})")
+            facts.append("labels: " + ", ".join(f"{label} ({count})" for label, count in self.labels.items()))
+        facts.append(f"repeated frames: {self.repeated_frames} ({self.repeated_frames / self.frames:.1%})")
         for name, joint in self.joints.items():
             if joint["gaps"]:
                 gaps = f"gaps: {joint['gaps']}, longest {joint['longest_gap']:.2f} s"
-                lines.append(f"  {name}: missing in {joint['missing']:.1%} of frames ({gaps})")
+                facts.append(f"{name}: missing in {joint['missing']:.1%} of frames ({gaps})")
         jumps = [f"{name} ({joint['jumps']})" for name, joint in self.joints.items() if joint["jumps"]]
         if jumps:
-            lines.append("  jumps: " + ", ".join(jumps))
+            facts.append("jumps: " + ", ".join(jumps))
         for name, bone in self.bones.items():
-            lines.append(f"  {name}: {1e3 * bone['median']:.0f} mm ± {bone['variation']:.1%}")
+            facts.append(f"{name}: {1e3 * bone['median']:.0f} mm ± {bone['variation']:.1%}")
         for name, speed in self.speeds.items():
             p50, p99, fastest = speed.values()
-            lines.append(f"  {name} speed: median {p50:.2f}, 99 % {p99:.2f}, largest {fastest:.2f} m/s")
-        lines.append(
-            f"  after repair {self.outside_range:.1%} of frames are outside the joints' range, "
-            f"{self.too_fast:.1%} above their speed"
-        )
+            facts.append(f"{name} speed: median {p50:.2f}, 99 % {p99:.2f}, largest {fastest:.2f} m/s")
+        outside = f"{self.outside_range:.1%} of frames are outside the joints' range"
+        facts.append(f"after repair {outside}, {self.too_fast:.1%} above their speed")
         interpolated = sum(joint["interpolated"] for joint in self.joints.values())
         left = sum(joint["left_missing"] for joint in self.joints.values())
         values = self.frames * len(self.joints)
-        lines.append(
-            f"  repair would interpolate {interpolated} of {values} positions ({interpolated / values:.1%}) "
-            f"and leave {left} missing ({left / values:.1%})"
-        )
-        lines.extend(f"  note: {note}" for note in self.notes)
-        return lines
+        positions = f"{interpolated} of {values} positions ({interpolated / values:.1%})"
+        facts.append(f"repair would interpolate {positions} and leave {left} missing ({left / values:.1%})")
+        facts += [f"note: {note}" for note in self.notes]
+        return [f"{self.name}: {self.format}{person}, {length}", *(f"  {fact}" for fact in facts)]
 
 
 def summarise(recording: Recording) -> Summary:
@@ -187,19 +172,9 @@ def _outside_limits(recording: Recording) -> tuple[float, float]:
     if not set(ARM_JOINTS) <= set(recording.joints):
         return np.nan, np.nan
     T_world_torso = torso_frame(recording.joints, recording.positions).T_world_torso
-    arms = np.stack([recording.joint(name) for name in ARM_JOINTS], axis=1)
-    postures = postures_from_points((arms - T_world_torso[:, None, :3, 3]) @ T_world_torso[:, :3, :3])
+    postures = postures_from_points((recording.arms - T_world_torso[:, None, :3, 3]) @ T_world_torso[:, :3, :3])
     seen = np.isfinite(postures).all(axis=-1)
     if not seen.any():
         return np.nan, np.nan
-    start = np.full(postures.shape[-1], np.nan)
-    position, speed = violations(postures, start, 1.0 / recording.rate, JointLimits())
+    position, speed = violations(postures, np.full(18, np.nan), 1.0 / recording.rate, JointLimits())
     return float(position[seen].mean()), float(speed[seen].mean())
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

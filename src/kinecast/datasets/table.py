@@ -21,62 +21,49 @@ from jaxtyping import Float, Int
 
 from kinecast.datasets.files import BYTE_ORDER_MARK, MOST_POINTS, base_name, head, numbers, read_bytes
 from kinecast.datasets.recording import Description, Recording, describe
-from kinecast.errors import DatasetError, OptionError
+from kinecast.errors import DatasetError, MissingExtraError, OptionError
 
 _WORLD = "z up, right-handed, metres, seconds"
 _CSV_METADATA = b"# kinecast "
 _PARQUET_MAGIC = b"PAR1"
+_PARQUET_METADATA = b"kinecast"
 _POSITION = ("x", "y", "z")
 _COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
 _REQUIRED = ("stamp", "person", "joint", *_POSITION)
-WORDS = ("person", "joint", "label")
-NUMBERS = ("stamp", *_POSITION, *_COVARIANCE, "made")
+_WORDS = ("person", "joint", "label")
+_NUMBERS = ("stamp", *_POSITION, *_COVARIANCE, "made")
 _CHUNK = 1 << 16  # rows written at a time
 
 
 @dataclass(frozen=True)
 class Words:
-    """A column of words, most of them repeated.
-
-    Attributes:
-        names: the different words.
-        codes: (R,) place in `names` of each row's word; −1 where it is missing. csv knows no empty words, only missing.
-    """
+    """A column of words, most of them repeated. csv knows no empty words, only missing ones."""
 
     names: tuple[str, ...]
+    """The different words."""
     codes: Int[np.ndarray, " R"]
+    """(R,) place in `names` of each row's word; −1 where it is missing."""
 
     @classmethod
-    def of(cls, words: Iterable[str | None]) -> Words:
-        """The column of these words; None is missing."""
+    def of(cls, words: Iterable[str | None], times: Int[np.ndarray, " W"] | int = 1) -> Words:
+        """The column of these words, each so many times; None is missing."""
         places: dict[str, int] = {}
         codes = [-1 if word is None else places.setdefault(word, len(places)) for word in words]
-        return cls(tuple(places), np.array(codes, dtype=np.int32))
+        return cls(tuple(places), np.repeat(np.array(codes, dtype=np.int32), times))
 
 
 @dataclass(frozen=True)
 class Rows:
-    """What a table holds, one row for each (stamp, person, joint).
+    """What a table holds, R rows, one for each (stamp, person, joint)."""
 
-    Attributes:
-        stamp: (R,) [s].
-        person: (R,) person ids.
-        joint: (R,) joint names.
-        position: (R, 3) [m], z up; NaN where missing.
-        covariance: (R, 6) xx, xy, xz, yy, yz, zz of the position [m²], or None.
-        label: (R,) what the person is doing, or None.
-        made: (R,) when a predicted row was predicted [s], or None for measured rows.
-        metadata: rate, world frame, source and what else belongs to the whole; JSON values.
-    """
-
-    stamp: Float[np.ndarray, " R"]
+    stamp: Float[np.ndarray, " R"]  # [s]
     person: Words
     joint: Words
-    position: Float[np.ndarray, "R 3"]
-    covariance: Float[np.ndarray, "R 6"] | None = None
-    label: Words | None = None
-    made: Float[np.ndarray, " R"] | None = None
-    metadata: dict[str, Any] | None = None
+    position: Float[np.ndarray, "R 3"]  # [m], z up; NaN where missing
+    covariance: Float[np.ndarray, "R 6"] | None = None  # xx, xy, xz, yy, yz, zz of the position [m²]
+    label: Words | None = None  # what the person is doing
+    made: Float[np.ndarray, " R"] | None = None  # when a predicted row was predicted [s]; None for measured rows
+    metadata: dict[str, Any] | None = None  # rate, world frame, source and what else is of the whole; JSON values
 
 
 def matches(path: Path) -> bool:
@@ -99,24 +86,20 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
     persons = [recording.person for recording in recordings]
     if not recordings or len(set(persons)) < len(persons):
         raise DatasetError(path, f"persons {persons}: a table holds one recording of each person, and at least one")
-    joints = tuple(dict.fromkeys(joint for recording in recordings for joint in recording.joints))
-    width = np.concatenate([np.full(len(recording.stamps), len(recording.joints)) for recording in recordings])
     frames = [len(recording.stamps) for recording in recordings]
-    codes = [np.tile([joints.index(joint) for joint in each.joints], len(each.stamps)) for each in recordings]
-    labels = Words.of(
-        label
-        for each in recordings
-        for label in (each.labels if each.labels is not None else [None] * len(each.stamps))
-    )
+    width = np.repeat([len(recording.joints) for recording in recordings], frames)
+    joints = Words.of(joint for recording in recordings for joint in recording.joints)
+    places = np.split(joints.codes, np.cumsum([len(recording.joints) for recording in recordings])[:-1])
+    labels = [label for each, n in zip(recordings, frames, strict=True) for label in each.labels or [None] * n]
     labelled = any(recording.labels is not None for recording in recordings)
     write_rows(
         path,
         Rows(
             stamp=np.repeat(np.concatenate([recording.stamps for recording in recordings]), width),
-            person=Words(tuple(persons), np.repeat(np.repeat(np.arange(len(persons)), frames), width)),
-            joint=Words(joints, np.concatenate(codes)),
+            person=Words.of(persons, np.array([each.positions[..., 0].size for each in recordings])),
+            joint=Words(joints.names, np.concatenate([np.tile(*each) for each in zip(places, frames, strict=True)])),
             position=np.concatenate([recording.positions.reshape(-1, 3) for recording in recordings]),
-            label=Words(labels.names, np.repeat(labels.codes, width)) if labelled else None,
+            label=Words.of(labels, width) if labelled else None,
             metadata={"world": _WORLD, "recordings": [asdict(describe(recording)) for recording in recordings]},
         ),
     )
@@ -149,10 +132,8 @@ def load(path: Path) -> list[Recording]:
 
 
 def _require_complete(rows: Rows, path: Path, nameless: bool = False) -> None:
-    incomplete = {"stamp": ~np.isfinite(rows.stamp), "joint": rows.joint.codes < 0}
-    if not nameless:
-        incomplete["person"] = rows.person.codes < 0
-    for column, missing in incomplete.items():
+    persons = (rows.person.codes < 0) & (not nameless)
+    for column, missing in (("stamp", ~np.isfinite(rows.stamp)), ("joint", rows.joint.codes < 0), ("person", persons)):
         if missing.any():
             raise DatasetError(f"{path}, row {int(np.argmax(missing)) + 1}", f"no {column}")
 
@@ -164,17 +145,10 @@ def _inferred(rows: Rows, person: str, path: Path) -> Description:
     if len(stamps) < 2:
         raise DatasetError(path, f"{len(stamps)} frame of person {person!r}; at least 2 are needed to tell the rate")
     rate = float(1.0 / np.median(np.diff(stamps)))
-    return Description(
-        name=base_name(path) if len(rows.person.names) == 1 else f"{base_name(path)}/{person}",
-        person=person,
-        joints=[rows.joint.names[code] for code in dict.fromkeys(rows.joint.codes[mine].tolist())],
-        rate=rate,
-        source=str(path),
-        format="table",
-        subject="",
-        task="",
-        notes=[f"rate not stated; {rate:.6g} Hz from the stamps"],
-    )
+    name = base_name(path) if len(rows.person.names) == 1 else f"{base_name(path)}/{person}"
+    joints = [rows.joint.names[code] for code in dict.fromkeys(rows.joint.codes[mine].tolist())]
+    note = f"rate not stated; {rate:.6g} Hz from the stamps"
+    return Description(name, person, joints, rate, str(path), "table", "", "", [note])
 
 
 def _recording(rows: Rows, description: Description, path: Path) -> Recording:
@@ -197,20 +171,8 @@ def _recording(rows: Rows, description: Description, path: Path) -> Recording:
         raise DatasetError(f"{path}, row {row + 1}", "repeats the stamp, person and joint of an earlier row")
     positions = np.full((len(stamps) * len(places), 3), np.nan)
     positions[cell] = rows.position[mine]
-    return Recording(
-        name=description.name,
-        joints=tuple(description.joints),
-        stamps=stamps,
-        positions=positions.reshape(len(stamps), len(places), 3),
-        rate=description.rate,
-        source=None if description.source is None else Path(description.source),
-        format=description.format,
-        person=description.person,
-        subject=description.subject,
-        task=description.task,
-        labels=_labels(rows, mine, frame, description.labelled, path),
-        notes=tuple(description.notes),
-    )
+    labels = _labels(rows, mine, frame, description.labelled, path)
+    return description.recording(stamps, positions.reshape(len(stamps), len(places), 3), labels)
 
 
 def _labels(
@@ -232,31 +194,35 @@ def _labels(
 
 def write_rows(path: Path, rows: Rows) -> None:
     """Write a table; the file appears whole or not at all. Raises as `write`."""
-    columns: dict[str, Any] = {"stamp": rows.stamp, "person": rows.person, "joint": rows.joint}
-    columns |= dict(zip(_POSITION, rows.position.T, strict=True))
-    if rows.covariance is not None:
-        columns |= dict(zip(_COVARIANCE, rows.covariance.T, strict=True))
-    more = {"label": rows.label, "made": rows.made}
-    columns |= {name: column for name, column in more.items() if column is not None}
+    optional = {"label": rows.label, "made": rows.made}
+    covariance = () if rows.covariance is None else rows.covariance.T
+    columns: dict[str, Any] = {
+        "stamp": rows.stamp, "person": rows.person, "joint": rows.joint,
+        **dict(zip(_POSITION, rows.position.T, strict=True)),
+        **dict(zip(_COVARIANCE, covariance, strict=False)),
+        **{name: column for name, column in optional.items() if column is not None},
+    }  # fmt: skip
     metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
     if path.suffix not in (".parquet", ".csv"):
         raise OptionError(f"a table is written as .parquet or .csv, not {path.name!r}")
-    write_columns = _write_csv if path.suffix == ".csv" else _parquet().write
+    require_extra(path)
     with _whole(path) as file:
-        write_columns(file, columns, metadata)
+        (_write_csv if path.suffix == ".csv" else _write_parquet)(file, columns, metadata)
 
 
 def require_extra(path: Path) -> None:
     """MissingExtraError where a table of this name cannot be written or read because the extra is missing."""
     if path.suffix == ".parquet":
-        _parquet()
+        _pyarrow()
 
 
-def _parquet() -> ModuleType:
-    """The module that needs the extra."""
-    from kinecast.datasets import parquet
-
-    return parquet
+def _pyarrow() -> ModuleType:
+    """pyarrow and its parquet."""
+    try:
+        import pyarrow.parquet
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("parquet", "parquet") from error
+    return pyarrow
 
 
 @contextmanager
@@ -281,7 +247,7 @@ def read_rows(path: Path) -> Rows:
         DatasetError: the file is no table, lacks a column, holds another type in one, or has too many rows.
     """
     is_parquet = head(path).startswith(_PARQUET_MAGIC)
-    columns, metadata = _parquet().read(path) if is_parquet else _read_csv(path)
+    columns, metadata = _read_parquet(path) if is_parquet else _read_csv(path)
     covariance = [columns[name] for name in _COVARIANCE if name in columns]
     return Rows(
         stamp=columns["stamp"],
@@ -305,19 +271,56 @@ def _metadata(text: bytes, path: Path) -> dict[str, Any]:
     return metadata
 
 
-def require_columns(names: Sequence[str], path: Path) -> None:
+def _require_columns(names: Sequence[str], path: Path) -> None:
     """Check that each column is there, and once."""
-    missing = [name for name in _REQUIRED if name not in names]
-    if missing:
+    if missing := [name for name in _REQUIRED if name not in names]:
         raise DatasetError(path, f"no column {', '.join(missing)}; a table has {', '.join(_REQUIRED)}")
-    repeated = {name for name in names if names.count(name) > 1}
-    if repeated:
+    if repeated := {name for name in names if names.count(name) > 1}:
         raise DatasetError(path, f"two columns {min(repeated)!r}")
 
 
-def require_few(rows: int, path: Path) -> None:
+def _require_few(rows: int, path: Path) -> None:
     if rows > MOST_POINTS:
         raise DatasetError(path, f"{rows} rows, at most {MOST_POINTS} are allowed")
+
+
+def _write_parquet(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes) -> None:
+    pa = _pyarrow()
+
+    def encoded(words: Words) -> Any:
+        codes = pa.array(words.codes, mask=words.codes < 0)
+        return pa.DictionaryArray.from_arrays(codes, pa.array(words.names, type=pa.string()))
+
+    table = pa.table({name: encoded(each) if isinstance(each, Words) else each for name, each in columns.items()})
+    pa.parquet.write_table(table.replace_schema_metadata({_PARQUET_METADATA: metadata}), file, compression="zstd")
+
+
+def _read_parquet(path: Path) -> tuple[dict[str, Any], bytes | None]:
+    """The known columns by name, and the metadata."""
+    pa = _pyarrow()
+    try:
+        file = pa.parquet.ParquetFile(pa.BufferReader(read_bytes(path)))
+        _require_few(file.metadata.num_rows, path)
+        _require_columns(file.schema_arrow.names, path)
+        table = file.read(columns=[name for name in (*_NUMBERS, *_WORDS) if name in file.schema_arrow.names])
+        table.validate(full=True)  # a damaged file may hold codes of words that are not there
+        columns: dict[str, Any] = {}
+        for name in table.column_names:
+            column = table.column(name)
+            columns[name] = _decoded(column) if name in _WORDS else column.cast(pa.float64()).to_numpy()
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise DatasetError(path, f"damaged table: {error}") from error
+    return columns, (table.schema.metadata or {}).get(_PARQUET_METADATA)
+
+
+def _decoded(column: Any) -> Words:
+    """A column of strings, plain or encoded, or of numbers that stand for names."""
+    pa = _pyarrow()
+    words = column if pa.types.is_dictionary(column.type) else column.cast(pa.string()).dictionary_encode()
+    words = words.unify_dictionaries().combine_chunks()
+    if isinstance(words, pa.ChunkedArray):  # of no rows
+        return Words((), np.empty(0, dtype=np.int32))
+    return Words(tuple(words.dictionary.to_pylist()), words.indices.fill_null(-1).to_numpy().astype(np.int32))
 
 
 def _write_csv(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes) -> None:
@@ -348,12 +351,12 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
     reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", newline=""), strict=True)
     try:
         names = next(reader, [])
-        require_columns(names, path)
-        number_names = [name for name in NUMBERS if name in names]
+        _require_columns(names, path)
+        number_names = [name for name in _NUMBERS if name in names]
         number_cells = itemgetter(*map(names.index, number_names))
         what = [f"damaged table: {name}" for name in number_names]
         values = array("d")
-        words = {name: (names.index(name), dict[str, int](), array("i")) for name in WORDS if name in names}
+        words = {name: (names.index(name), dict[str, int](), array("i")) for name in _WORDS if name in names}
         rows = 0
         for row in reader:
             if not row:
@@ -367,7 +370,7 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
             rows += 1
     except (csv.Error, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}, line {reader.line_num + before}", f"damaged table: {error}") from error
-    require_few(rows, path)
+    _require_few(rows, path)
     columns: dict[str, Any] = dict(zip(number_names, np.array(values).reshape(rows, len(number_names)).T, strict=True))
     columns |= {name: Words(tuple(known), np.array(codes, np.int32)) for name, (_, known, codes) in words.items()}
     return columns, metadata

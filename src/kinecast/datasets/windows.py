@@ -16,9 +16,9 @@ from kinecast.body.torso_frame import UpSource, torso_frame
 from kinecast.body.tracking import Trouble, repair_windows
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import repair
-from kinecast.datasets.resampling import RATE_RANGE, resample
+from kinecast.datasets.resampling import check_rate, resample
 from kinecast.errors import DatasetError, OptionError
-from kinecast.tasks.workers import Progress, Serial, Workers
+from kinecast.tasks import Progress, Serial, Workers
 
 LONGEST = 10.0
 """Longest window or horizon [s]."""
@@ -29,34 +29,26 @@ MOST_FRAMES = 300
 
 @dataclass(frozen=True)
 class WindowOptions:
-    """Which windows are cut.
-
-    Attributes:
-        rate: frames per second [Hz].
-        window: length of what is observed [s].
-        horizon: length of what is to be predicted [s].
-        stride: frames from one window to the next.
-        label: only windows whose last observed frame has this label; None for all.
-        whole: only windows in which every arm joint is there in every frame, before and after. Otherwise gaps
-            in what is observed are repaired, and in what came next they are NaN.
-        mend_future: what came next is repaired with hindsight, for training; scores need what was measured.
-
-    Raises:
-        OptionError: a value out of its range.
-    """
+    """Which windows are cut; OptionError for a value out of its range."""
 
     rate: float = 30.0
+    """Frames per second [Hz]."""
     window: float = 0.2
+    """Length of what is observed [s]."""
     horizon: float = 0.5
+    """Length of what is to be predicted [s]."""
     stride: int = 5
+    """Frames from one window to the next."""
     label: str | None = None
+    """Only windows whose last observed frame has this label; None for all."""
     whole: bool = True
+    """Only windows in which every arm joint is there in every frame, before and after. Otherwise gaps in what is
+    observed are repaired, and in what came next they are NaN."""
     mend_future: bool = False
+    """What came next is repaired with hindsight, for training; scores need what was measured."""
 
     def __post_init__(self) -> None:
-        lowest, highest = RATE_RANGE
-        if not lowest <= self.rate <= highest:
-            raise OptionError(f"rate is {self.rate} Hz, allowed is {lowest:g} to {highest:g} Hz")
+        check_rate(self.rate)
         for name, seconds, least in (("window", self.window, 2), ("horizon", self.horizon, 1)):
             if not (0 < seconds <= LONGEST and least <= round(seconds * self.rate) <= MOST_FRAMES):
                 allowed = f"{least / self.rate:.4g} to {min(LONGEST, MOST_FRAMES / self.rate):.4g} s"
@@ -78,31 +70,24 @@ class WindowOptions:
 
 @dataclass(frozen=True)
 class Windows:
-    """W windows of one recording.
-
-    Attributes:
-        name: of the recording.
-        rate: frames per second [Hz].
-        arms: (W, N, 6, 3) observed arm joints [m], repaired; finite.
-        future: (W, T, 6, 3) arm joints after it [m]; NaN where not measured.
-        stamps: (W,) time of the last observed frame [s].
-        frames: (W,) its index in the resampled recording.
-        up: (W, 3) direction up the torso at it.
-        touched: (W, N, 6) True where an observed value was repaired.
-        lost: windows left out because an arm joint was lost in what is observed.
-        not_whole: windows left out because an arm joint was not measured throughout.
-    """
+    """W windows of one recording."""
 
     name: str
-    rate: float
+    rate: float  # frames per second [Hz]
     arms: Float[np.ndarray, "W N 6 3"]
+    """Observed arm joints [m], repaired; finite."""
     future: Float[np.ndarray, "W T 6 3"]
+    """Arm joints after it [m]; NaN where not measured."""
     stamps: Float[np.ndarray, " W"]
+    """Times of the last observed frames [s]."""
     frames: Int[np.ndarray, " W"]
+    """Their indices in the resampled recording."""
     up: Float[np.ndarray, "W 3"]
+    """Direction up the torso at them."""
     touched: Bool[np.ndarray, "W N 6"]
-    lost: int
-    not_whole: int
+    """True where an observed value was repaired."""
+    lost: int  # windows left out because an arm joint was lost in what is observed
+    not_whole: int  # windows left out because an arm joint was not measured throughout
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -111,10 +96,8 @@ class Windows:
 def windows(recording: Recording, options: WindowOptions, truth: Recording | None = None) -> Windows:
     """Every window of one recording, in order of time; none where it is too short or never has the label.
 
-    Args:
-        recording: on uniform stamps at `options.rate` (`kinecast.datasets.resampling.resample`).
-        options: see WindowOptions; `mend_future` is for `all_windows`.
-        truth: where what came next is read from, on the same stamps; None for the recording itself.
+    The recording is on uniform stamps at `options.rate` (`kinecast.datasets.resampling.resample`); `truth`, on the same
+    stamps, is where what came next is read from, the recording itself if None.
 
     Raises:
         DatasetError: stamps not uniform at `options.rate`, or no arms.
@@ -129,8 +112,8 @@ def windows(recording: Recording, options: WindowOptions, truth: Recording | Non
         labels = recording.labels or ("",) * len(recording.stamps)
         last = np.array([i for i in last if labels[i] == options.label], dtype=int)
     before, after = last[:, None] + np.arange(1 - n, 1), last[:, None] + np.arange(1, steps + 1)
-    seen = _arms(recording)[before]
-    future = _arms(truth or recording)[after]
+    seen = recording.arms[before]
+    future = (truth or recording).arms[after]
     repaired = repair_windows(seen, recording.stamps[before])
     lost = (repaired.trouble & Trouble.LOST).any(axis=1)
     ahead = np.isfinite(future)
@@ -186,15 +169,8 @@ def _resampled_windows(recording: Recording, options: WindowOptions) -> Windows:
     return windows(resample(recording, options.rate), options, truth)
 
 
-def _arms(recording: Recording) -> Float[np.ndarray, "N 6 3"]:
-    return np.stack([recording.joint(name) for name in ARM_JOINTS], axis=1)
-
-
-def _up(
-    recording: Recording, frames: Int[np.ndarray, " W"], arms: Float[np.ndarray, "W 6 3"]
-) -> Float[np.ndarray, "W 3"]:
+def _up(recording: Recording, frames: Int[np.ndarray, " W"], arms: Float[np.ndarray, "W 6 3"]) -> np.ndarray:
     """Up the torso: the lean seen so far, on the repaired shoulders."""
     lean = torso_frame(recording.joints, recording.positions).lean[frames][:, None]
     upright = torso_frame(ARM_JOINTS, arms, UpSource.WORLD).T_world_torso
-    up: Float[np.ndarray, "W 3"] = np.cos(lean) * upright[:, :3, 2] + np.sin(lean) * upright[:, :3, 0]
-    return up
+    return np.asarray(np.cos(lean) * upright[:, :3, 2] + np.sin(lean) * upright[:, :3, 0])

@@ -43,7 +43,7 @@ from kinecast.evaluation.plots import (
 from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.method import Method, forecast_in_scene
-from kinecast.tasks.workers import Progress, Workers
+from kinecast.tasks import Progress, Workers
 
 try:
     from jinja2 import Environment, StrictUndefined

@@ -27,7 +27,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.pipeline import followed, observations
 from kinecast.prediction.method import Forecast, Method, forecast_in_scene
 from kinecast.prediction.observation import Observation
-from kinecast.tasks.workers import Progress, Serial, Workers, generator, given
+from kinecast.tasks import Progress, Serial, Workers, generator, scatter
 
 NLL_JOINTS = 6
 """NLL is reported per joint: the log density of the whole pose, six joints in m^18, divided by six."""
@@ -109,14 +109,14 @@ def evaluate(
     workers = workers or Serial()
     owner = np.concatenate([np.full(len(r.observations), k) for k, r in enumerate(recordings)])
     repeated = _repeated(owner, len(recordings), options)
-    shared = [workers.submit(given, recording) for recording in recordings]
+    shared = [workers.submit(scatter, recording) for recording in recordings]
     truth = [workers.submit(_broken_by_truth, each, scene, options.limits) for each in shared]
     tasks = {
         name: [
             workers.submit(score_recording, method, recording, place, repeated[place], scene, options)
             for place, recording in enumerate(shared)
         ]
-        for name, method in ((name, workers.submit(given, method)) for name, method in methods.items())
+        for name, method in ((name, workers.submit(scatter, method)) for name, method in methods.items())
     }
     results = iter(workers.results([*truth, *(task for each in tasks.values() for task in each)], progress))
     broken = [row for _ in truth for row in next(results)]

@@ -192,7 +192,6 @@ def limb_distances(
         rows: (T, O, ROW) obstacles at each time.
         points: (…, T, J, 3) [m].
         limbs: (L, 2) the points each limb goes from and to; they may be one.
-        most: how far obstacles are looked for [m].
 
     Returns:
         (…, T, L) [m]; NaN where a coordinate is NaN.

@@ -69,8 +69,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def parse_yaml(text: str, where: object) -> object:
-    """The parsed text: safe types only, no aliases, no repeated keys, bounded nesting."""
+def _parsed(text: str, where: object) -> object:
     if len(text) > MAXIMUM_BYTES:
         raise DatasetError(where, f"at most {MAXIMUM_BYTES} characters are read, found {len(text)}")
     try:
@@ -88,23 +87,22 @@ def parse_yaml(text: str, where: object) -> object:
 
 @dataclass(frozen=True)
 class Entry:
-    """One mapping of the file, which knows its place for errors; its `allowed` keys, or none until told."""
+    """One mapping of a file, which knows its place for errors."""
 
     where: object
     name: str
-    found: object
-    allowed: tuple[str, ...] = ()
+    values: dict[object, object]
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.found, dict):
-            raise self.error(f"expected entries `key: value`, found {_short.repr(self.found)}")
-        if self.allowed:
-            self.only(*self.allowed)
+    @classmethod
+    def read(cls, text: str, where: object, *allowed: str) -> Entry:
+        """The mapping a YAML text is, of nothing but these keys.
 
-    @property
-    def values(self) -> dict[object, object]:
-        assert isinstance(self.found, dict)
-        return self.found
+        Raises:
+            DatasetError: unsafe types, aliases, repeated keys, deep nesting, or too long.
+        """
+        root = cls(where, "", {}).child("", _parsed(text, where))
+        root.only(*allowed)
+        return root
 
     def error(self, problem: str, key: str = "") -> DatasetError:
         place = ".".join(part for part in (self.name, key) if part)
@@ -117,7 +115,9 @@ class Entry:
                 raise self.error(f"unknown entry {_short.repr(key)}; allowed: {', '.join(allowed)}")
 
     def child(self, key: str, value: object) -> Entry:
-        return Entry(self.where, f"{self.name}.{key}" if self.name else key, value)
+        if not isinstance(value, dict):
+            raise self.error(f"expected entries `key: value`, found {_short.repr(value)}", key)
+        return Entry(self.where, ".".join(part for part in (self.name, key) if part), value)
 
     def children(self, key: str) -> list[Entry]:
         """The entries of a list; none if the key is absent."""

@@ -9,13 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.distances import ROW, limb_distances
-from kinecast.geometry.entries import Entry, built, parse_yaml, read_text
+from kinecast.geometry.entries import Entry, built, read_text
 from kinecast.geometry.regions import Regions
 from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Shape, Sphere, Waypoints
 from kinecast.geometry.transforms import from_quaternion, rotation_z
@@ -33,6 +34,10 @@ LIMBS = np.array([[0, 1], [1, 2], [3, 4], [4, 5]])
 """Upper arms and forearms among the six arm joints."""
 
 
+Times: TypeAlias = Float[np.ndarray, " T"]
+Obstacle: TypeAlias = Shape | MovingObstacle
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Obstacles and goals in the world frame, on the clock of the frames' stamps.
@@ -42,7 +47,7 @@ class Scene:
         goals: named regions that a hand may be heading for; they are no obstacles.
     """
 
-    obstacles: tuple[Shape | MovingObstacle, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
     goals: Mapping[str, Sphere | Box] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -65,17 +70,13 @@ class Scene:
 
     @classmethod
     def from_yaml(cls, text: str, where: object = "scene") -> Scene:
-        """The scene a YAML text describes.
-
-        Args:
-            text: the content of a scene file.
-            where: named in errors, e.g. the file.
+        """The scene a YAML text describes; `where`, e.g. its file, is named in errors.
 
         Raises:
             DatasetError: names the entry, what was found and what is allowed.
         """
-        root = Entry(where, "", parse_yaml(text, where), ("table", *_OBSTACLES, "goals"))
-        obstacles: list[Shape | MovingObstacle] = []
+        root = Entry.read(text, where, "table", *_OBSTACLES, "goals")
+        obstacles: list[Obstacle] = []
         if "table" in root.values:
             obstacles.append(built(root.child("table", root.values["table"]), _table))
         for key, build in _OBSTACLES.items():
@@ -88,49 +89,35 @@ class Scene:
             raise DatasetError(where, f"{len(obstacles) + len(goals)} entries, at most {MAXIMUM_ENTRIES}")
         return cls(tuple(obstacles), goals)
 
-    def rows(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T O 17"]:
+    def rows(self, times: Times) -> Float[np.ndarray, "T O 17"]:
         """(T, O, ROW) every obstacle at every time [s], for compiled code (kinecast.geometry.distances)."""
         if not self.obstacles:
             return np.empty((len(times), 0, ROW))
         return np.stack([obstacle.rows(times) for obstacle in self.obstacles], axis=1)
 
     def signed_distance(
-        self, points: Float[np.ndarray, "*batch T J 3"], times: Float[np.ndarray, " T"]
+        self, points: Float[np.ndarray, "*batch T J 3"], times: Times
     ) -> Float[np.ndarray, "*batch T J"]:
-        """Distance [m] of each point to the nearest obstacle where it is at that point's time.
+        """Distance (…, T, J) [m] of each point (…, T, J, 3) to the nearest obstacle where it is at that point's time.
 
-        Args:
-            points: (…, T, J, 3) [m].
-            times: (T,) [s].
-
-        Returns:
-            (…, T, J) [m], > 0 free, negative inside; inf without obstacles, NaN where a coordinate is NaN.
+        It is > 0 free, negative inside; inf without obstacles, NaN where a coordinate is NaN.
         """
         return limb_distances(self.rows(times), points, np.arange(points.shape[-2])[:, None].repeat(2, axis=1))
 
-    def clearance(
-        self, poses: Float[np.ndarray, "*batch T 6 3"], times: Float[np.ndarray, " T"]
-    ) -> Float[np.ndarray, "*batch T"]:
+    def clearance(self, poses: Float[np.ndarray, "*batch T 6 3"], times: Times) -> Float[np.ndarray, "*batch T"]:
         """(…, T) distance [m] from the nearest limb to the nearest obstacle, > 0 free; inf without obstacles.
 
-        Args:
-            poses: (…, T, 6, 3) positions [m] of the six arm joints (kinecast.body.skeleton.ARM_JOINTS).
-            times: (T,) [s], on the clock of moving obstacles.
+        `poses` (…, T, 6, 3) are positions [m] of the six arm joints (kinecast.body.skeleton.ARM_JOINTS).
         """
         return np.asarray(limb_distances(self.rows(times), poses, LIMBS).min(axis=-1))
 
     def free(
-        self, arm_points: Float[np.ndarray, "S T 6 3"], times: Float[np.ndarray, " T"], limb_radius: float = 0.0
+        self, arm_points: Float[np.ndarray, "S T 6 3"], times: Times, limb_radius: float = 0.0
     ) -> Bool[np.ndarray, "S T"]:
-        """Whether no joint and no limb of either arm touches an obstacle where it is at each time (Eq. 7).
+        """(S, T) whether no joint and no limb of either arm touches an obstacle where it is at each time (Eq. 7).
 
-        Args:
-            arm_points: (S, T, 6, 3) positions [m] of the six arm joints.
-            times: (T,) [s], on the clock of moving obstacles.
-            limb_radius: thickness of upper arms and forearms around their centre lines [m].
-
-        Returns:
-            (S, T); False where an arm has a NaN.
+        Takes (S, T, 6, 3) positions [m] of the six arm joints, and the radius [m] of upper arms and forearms around
+        their centre lines. False where an arm has a NaN.
 
         Raises:
             OptionError: a limb radius below 0.
@@ -161,19 +148,19 @@ def _plane(entry: Entry) -> Shape:
     return HalfSpace(entry.vector("point", 3, "m"), entry.vector("normal", 3, ""))
 
 
-def _box(entry: Entry) -> Shape | MovingObstacle:
+def _box(entry: Entry) -> Obstacle:
     entry.only("center", "size", "yaw_degrees", "quaternion", "velocity", "waypoints")
     center, path = _center(entry)
     return _moving(entry, Box(center, entry.vector("size", 3, "m"), _rotation(entry)), path)
 
 
-def _sphere(entry: Entry) -> Shape | MovingObstacle:
+def _sphere(entry: Entry) -> Obstacle:
     entry.only("center", "radius", "velocity", "waypoints")
     center, path = _center(entry)
     return _moving(entry, Sphere(center, entry.number("radius", "m")), path)
 
 
-def _capsule(entry: Entry) -> Shape | MovingObstacle:
+def _capsule(entry: Entry) -> Obstacle:
     entry.only("start", "end", "radius", "velocity")
     capsule = Capsule(entry.vector("start", 3, "m"), entry.vector("end", 3, "m"), entry.number("radius", "m"))
     return _moving(entry, capsule)
@@ -206,7 +193,7 @@ def _center(entry: Entry) -> tuple[Float[np.ndarray, " 3"], Waypoints | None]:
     return path.positions[0], path
 
 
-def _moving(entry: Entry, shape: Shape, path: Waypoints | None = None) -> Shape | MovingObstacle:
+def _moving(entry: Entry, shape: Shape, path: Waypoints | None = None) -> Obstacle:
     if "velocity" in entry.values:
         return MovingObstacle(shape, ConstantVelocity(entry.vector("velocity", 3, "m/s")))
     return shape if path is None else MovingObstacle(shape, path)

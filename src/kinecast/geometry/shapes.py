@@ -16,35 +16,36 @@ ORTHONORMAL = 1e-6
 """How far RᵀR may be from the identity: matrices typed with seven digits pass."""
 
 
+Vector: TypeAlias = Float[np.ndarray, " 3"]
+Rotation: TypeAlias = Float[np.ndarray, "3 3"]
+Row: TypeAlias = Float[np.ndarray, " 17"]
+Rows: TypeAlias = Float[np.ndarray, "T 17"]
+Times: TypeAlias = Float[np.ndarray, " T"]
+Points: TypeAlias = Float[np.ndarray, "*batch 3"]
+Distances: TypeAlias = Float[np.ndarray, "*batch"]
+
+
 class Shape(ABC):
     """A convex obstacle."""
 
     @property
     @abstractmethod
-    def row(self) -> Float[np.ndarray, " 17"]:
+    def row(self) -> Row:
         """The shape as one row of floats (kinecast.geometry.distances)."""
 
-    def rows(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 17"]:
+    def rows(self, times: Times) -> Rows:
         """(T, ROW) the shape at each time [s]: it stays where it is."""
         return np.tile(self.row, (len(times), 1))
 
-    def signed_distance(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    def signed_distance(self, points: Points) -> Distances:
         """Distance (…) [m] of points (…, 3) to the surface, negative inside; NaN where a coordinate is NaN."""
         return self.segment_distance(points, points)
 
-    def segment_distance(
-        self, start: Float[np.ndarray, "*batch 3"], end: Float[np.ndarray, "*batch 3"]
-    ) -> Float[np.ndarray, "*batch"]:
-        """Least signed distance [m] over the points of a limb's centre line, exact for every shape.
+    def segment_distance(self, start: Points, end: Points) -> Distances:
+        """Least signed distance (…) [m] over the points of a limb from start to end (…, 3) [m], exact for every shape.
 
         For a limb outside this is its distance to the shape; for one that touches, minus the depth of its
-        deepest point. A limb with radius r touches where the result is ≤ r: subtract r.
-
-        Args:
-            start, end: (…, 3) ends of the limbs [m]; they may coincide.
-
-        Returns:
-            (…) [m]; NaN where a coordinate is NaN.
+        deepest point. A limb with radius r touches where the result is ≤ r. NaN where a coordinate is NaN.
         """
         ends = np.stack([start, end], axis=-2)[..., None, :, :]
         return limb_distances(self.row[None, None], ends, np.array([[0, 1]]))[..., 0, 0]
@@ -54,8 +55,8 @@ class Shape(ABC):
 class HalfSpace(Shape):
     """Everything behind a plane through a point (3,) [m]: n · (p − point) < 0, with the normal scaled to length one."""
 
-    point: Float[np.ndarray, " 3"]
-    normal: Float[np.ndarray, " 3"]
+    point: Vector
+    normal: Vector
 
     def __post_init__(self) -> None:
         normal = _vector("half-space normal", self.normal)
@@ -65,7 +66,7 @@ class HalfSpace(Shape):
         _freeze(self, point=_vector("half-space point", self.point), normal=normal / length)
 
     @property
-    def row(self) -> Float[np.ndarray, " 17"]:
+    def row(self) -> Row:
         return np.concatenate([[HALF_SPACE], self.point, self.normal, np.zeros(ROW - 7)])
 
 
@@ -73,9 +74,9 @@ class HalfSpace(Shape):
 class Box(Shape):
     """A box: center (3,) [m], full lengths (3,) along its own axes [m], these axes in the world as columns (3, 3)."""
 
-    center: Float[np.ndarray, " 3"]
-    size: Float[np.ndarray, " 3"]
-    rotation: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    center: Vector
+    size: Vector
+    rotation: Rotation = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
         size = _vector("box size", self.size)
@@ -89,7 +90,7 @@ class Box(Shape):
         _freeze(self, center=_vector("box center", self.center), size=size, rotation=rotation)
 
     @property
-    def row(self) -> Float[np.ndarray, " 17"]:
+    def row(self) -> Row:
         return _rounded_box(self.center, self.rotation, self.size / 2, 0.0)
 
 
@@ -97,14 +98,14 @@ class Box(Shape):
 class Sphere(Shape):
     """A ball: center (3,) [m] and radius [m]."""
 
-    center: Float[np.ndarray, " 3"]
+    center: Vector
     radius: float
 
     def __post_init__(self) -> None:
         _freeze(self, center=_vector("sphere center", self.center), radius=_radius("sphere", self.radius))
 
     @property
-    def row(self) -> Float[np.ndarray, " 17"]:
+    def row(self) -> Row:
         return _rounded_box(self.center, np.eye(3), np.zeros(3), self.radius)
 
 
@@ -112,8 +113,8 @@ class Sphere(Shape):
 class Capsule(Shape):
     """All points within a radius [m] of the segment from start to end, (3,) [m]: a limb, a tube, a robot link."""
 
-    start: Float[np.ndarray, " 3"]
-    end: Float[np.ndarray, " 3"]
+    start: Vector
+    end: Vector
     radius: float
 
     def __post_init__(self) -> None:
@@ -121,21 +122,18 @@ class Capsule(Shape):
         _freeze(self, start=start, end=end, radius=_radius("capsule", self.radius))
 
     @property
-    def row(self) -> Float[np.ndarray, " 17"]:
-        axis = self.end - self.start
-        length = float(np.linalg.norm(axis))
+    def row(self) -> Row:
+        length = float(np.linalg.norm(self.end - self.start))
         rotation = np.eye(3)
         if length > 0.0:
-            z = axis / length
+            z = (self.end - self.start) / length
             x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
             x /= np.linalg.norm(x)
             rotation = np.column_stack([x, np.cross(z, x), z])
         return _rounded_box(0.5 * (self.start + self.end), rotation, np.array([0.0, 0.0, length / 2]), self.radius)
 
 
-def _rounded_box(
-    center: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"], half: Float[np.ndarray, " 3"], radius: float
-) -> Float[np.ndarray, " 17"]:
+def _rounded_box(center: Vector, rotation: Rotation, half: Vector, radius: float) -> Row:
     return np.concatenate([[ROUNDED_BOX], center, rotation.ravel(), half, [radius]])
 
 
@@ -147,7 +145,7 @@ def _freeze(shape: object, **values: np.ndarray | float) -> None:
         object.__setattr__(shape, name, value)
 
 
-def _vector(what: str, value: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+def _vector(what: str, value: Vector) -> Vector:
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise OptionError(f"{what} {vector.tolist()} must be three finite numbers")
@@ -164,7 +162,7 @@ def _radius(what: str, value: float) -> float:
 class ConstantVelocity:
     """x(t) = x0 + v (t − since): velocity v (3,) [m/s], and the time `since` [s] of the place x0 it was defined at."""
 
-    velocity: Float[np.ndarray, " 3"]
+    velocity: Vector
     since: float = 0.0
 
     def __post_init__(self) -> None:
@@ -172,7 +170,7 @@ class ConstantVelocity:
             raise OptionError(f"since {self.since} s must be finite")
         _freeze(self, velocity=_vector("velocity", self.velocity))
 
-    def centers(self, start: Float[np.ndarray, " 3"], times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
+    def centers(self, start: Vector, times: Times) -> Float[np.ndarray, "T 3"]:
         """(T, 3) places [m] at times [s] of what was defined at `start`."""
         return start + self.velocity * (times - self.since)[:, None]
 
@@ -187,16 +185,15 @@ class Waypoints:
     def __post_init__(self) -> None:
         times, positions = np.array(self.times, dtype=np.float64), np.array(self.positions, dtype=np.float64)
         if times.ndim != 1 or positions.shape != (len(times), 3) or len(times) == 0:
-            raise OptionError(
-                f"waypoints: {positions.shape} positions for {times.shape} times, expected (K, 3) for (K,)"
-            )
+            found = f"{positions.shape} positions for {times.shape} times"
+            raise OptionError(f"waypoints: {found}, expected (K, 3) for (K,)")
         if not (np.all(np.isfinite(times)) and np.all(np.isfinite(positions))):
             raise OptionError("waypoints: times and positions must be finite")
         if not np.all(np.diff(times) > 0):
             raise OptionError(f"waypoints: times must increase, found {times.tolist()} s")
         _freeze(self, times=times, positions=positions)
 
-    def centers(self, _start: Float[np.ndarray, " 3"], times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
+    def centers(self, _start: Vector, times: Times) -> Float[np.ndarray, "T 3"]:
         """(T, 3) places [m] at times [s], wherever the shape was defined."""
         return np.stack([np.interp(times, self.times, axis) for axis in self.positions.T], axis=-1)
 
@@ -212,8 +209,8 @@ class MovingObstacle:
     shape: Shape
     motion: Motion
 
-    def rows(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 17"]:
+    def rows(self, times: Times) -> Rows:
         """(T, ROW) the shape at each time [s] (kinecast.geometry.distances)."""
         rows = self.shape.rows(times)
-        rows[:, 1:4] = self.motion.centers(rows[0, 1:4], times) if len(times) else rows[:, 1:4]
+        rows[:, 1:4] = self.motion.centers(self.shape.row[1:4], times)
         return rows

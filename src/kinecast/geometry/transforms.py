@@ -7,15 +7,22 @@ SciPy's rotations are imported when first used: they take a quarter of a second,
 
 from __future__ import annotations
 
+from functools import partial
+from typing import TypeAlias
+
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
 
+Vectors: TypeAlias = Float[np.ndarray, "*batch 3"]
+Quaternions: TypeAlias = Float[np.ndarray, "*batch 4"]
+Rotations: TypeAlias = Float[np.ndarray, "*batch 3 3"]
+Transforms: TypeAlias = Float[np.ndarray, "*batch 4 4"]
+Angle: TypeAlias = Float[np.ndarray, "*batch"] | float
 
-def transform(
-    rotation: Float[np.ndarray, "*batch 3 3"], translation: Float[np.ndarray, "*batch 3"]
-) -> Float[np.ndarray, "*batch 4 4"]:
+
+def transform(rotation: Rotations, translation: Vectors) -> Transforms:
     """T = [R t; 0 1] of (…, 3, 3) rotation matrices and (…, 3) translations [m]."""
     T = np.zeros((*translation.shape[:-1], 4, 4))
     T[..., :3, :3] = rotation
@@ -24,43 +31,19 @@ def transform(
     return T
 
 
-def inverse(T: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4"]:
+def inverse(T: Transforms) -> Transforms:
     """T⁻¹ = [Rᵀ −Rᵀt; 0 1]."""
     rotation = np.swapaxes(T[..., :3, :3], -1, -2)
     return transform(rotation, -np.einsum("...ij,...j->...i", rotation, T[..., :3, 3]))
 
 
 def apply(T: Float[np.ndarray, "*#batch 4 4"], points: Float[np.ndarray, "*#batch 3"]) -> Float[np.ndarray, "... 3"]:
-    """p' = R p + t for points (…, 3) [m].
-
-    Leading axes broadcast: one transform per time step for (T, J, 3) points is `transforms[:, None]`.
-    """
+    """p' = R p + t for points (…, 3) [m]; axes broadcast: one T a time step for (T, J, 3) points is `T[:, None]`."""
     return np.asarray(np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3])
 
 
-def transformed(
-    points: Float[np.ndarray, "*batch 3"], rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "*batch 3"]:
-    """p' = R p + s for points (…, 3) [m], all by the same rotation and shift."""
-    return np.asarray(points @ rotation.T + shift)
-
-
-def rotation_x(angle: Float[np.ndarray, "*batch"] | float) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rx(angle): about x, angle in rad; (…) → (…, 3, 3)."""
-    return _about(angle, 0)
-
-
-def rotation_y(angle: Float[np.ndarray, "*batch"] | float) -> Float[np.ndarray, "*batch 3 3"]:
-    """Ry(angle): about y, angle in rad; (…) → (…, 3, 3)."""
-    return _about(angle, 1)
-
-
-def rotation_z(angle: Float[np.ndarray, "*batch"] | float) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rz(angle): about z, angle in rad; (…) → (…, 3, 3)."""
-    return _about(angle, 2)
-
-
-def _about(angle: Float[np.ndarray, "*batch"] | float, axis: int) -> Float[np.ndarray, "*batch 3 3"]:
+def _about(axis: int, angle: Angle) -> Rotations:
+    """(…) angles [rad] to (…, 3, 3)."""
     angle = np.asarray(angle, dtype=np.float64)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     R = np.zeros((*angle.shape, 3, 3))
@@ -71,7 +54,13 @@ def _about(angle: Float[np.ndarray, "*batch"] | float, axis: int) -> Float[np.nd
     return R
 
 
-def from_quaternion(wxyz: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
+rotation_x = partial(_about, 0)
+rotation_y = partial(_about, 1)
+rotation_z = partial(_about, 2)
+"""Rz(angle): about z, angle (…) in rad to (…, 3, 3); the others about x and y."""
+
+
+def from_quaternion(wxyz: Quaternions) -> Rotations:
     """(…, 3, 3) rotation matrices of (…, 4) quaternions w, x, y, z of any length but zero.
 
     Raises:
@@ -85,7 +74,7 @@ def from_quaternion(wxyz: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*
     return flat.reshape(*wxyz.shape[:-1], 3, 3)
 
 
-def to_quaternion(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
+def to_quaternion(rotation: Rotations) -> Quaternions:
     """(…, 4) unit quaternions w, x, y, z with w ≥ 0 of (…, 3, 3) rotation matrices."""
     from scipy.spatial.transform import Rotation
 
@@ -93,7 +82,7 @@ def to_quaternion(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray
     return flat.reshape(*rotation.shape[:-2], 4)
 
 
-def from_rotation_vector(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+def from_rotation_vector(vector: Vectors) -> Rotations:
     """exp: (…, 3) rotation vectors (axis times angle) [rad] to (…, 3, 3) matrices."""
     from scipy.spatial.transform import Rotation
 
@@ -101,7 +90,7 @@ def from_rotation_vector(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndar
     return flat.reshape(*vector.shape[:-1], 3, 3)
 
 
-def rotation_vector(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3"]:
+def rotation_vector(rotation: Rotations) -> Vectors:
     """log: (…, 3, 3) rotation matrices to (…, 3) rotation vectors [rad], no longer than π."""
     from scipy.spatial.transform import Rotation
 
@@ -109,12 +98,12 @@ def rotation_vector(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarr
     return flat.reshape(*rotation.shape[:-2], 3)
 
 
-def from_camera(points: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
+def from_camera(points: Vectors) -> Vectors:
     """Camera axes (x right, y down, z forward) to the world's, z up: (x, y, z) → (x, z, −y)."""
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
 
 
-def from_y_up(points: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
+def from_y_up(points: Vectors) -> Vectors:
     """Axes with y up (x right, z towards the viewer) to the world's, z up: (x, y, z) → (x, −z, y)."""
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 

@@ -171,20 +171,9 @@ def _recording(track: _Track, about: Description) -> Recording:
     for row, frame in zip(positions, track.frames, strict=True):
         row[[places[joint] for joint in frame.joints]] = frame.positions
     labelled = set(track.labels) != {None} if about.labelled is None else about.labelled
-    return Recording(
-        name=about.name,
-        joints=tuple(about.joints),
-        stamps=np.array([frame.stamp for frame in track.frames]),
-        positions=positions,
-        rate=about.rate,
-        source=None if about.source is None else Path(about.source),
-        format=about.format,
-        person=about.person,
-        subject=about.subject,
-        task=about.task,
-        labels=tuple(label or "" for label in track.labels) if labelled else None,
-        notes=tuple(about.notes),
-    )
+    stamps = np.array([frame.stamp for frame in track.frames])
+    labels = tuple(label or "" for label in track.labels) if labelled else None
+    return about.recording(stamps, positions, labels)
 
 
 def _lines(path: Path) -> Iterator[tuple[str, bytes]]:

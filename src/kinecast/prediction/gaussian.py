@@ -29,7 +29,7 @@ from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import roll_gaussian
 from kinecast.prediction.sampling import sample_motions
-from kinecast.tasks.workers import Serial, Workers
+from kinecast.tasks import Serial, Workers
 
 __all__ = [
     "Examples",

@@ -32,7 +32,7 @@ from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
 from kinecast.prediction.plugins import is_plugin, load_plugin
 from kinecast.prediction.sparse_gp import SparseGPOptions
-from kinecast.tasks.workers import Progress, Serial, Workers, given
+from kinecast.tasks import Progress, Serial, Workers, scatter
 
 __all__ = [
     "METHODS",
@@ -127,7 +127,7 @@ class _Fitting:
     def __init__(self, workers: Workers, windows: TrainingWindows, options: TrainingOptions) -> None:
         self._workers, self._windows, self._options = workers, windows, options
         self._noise, self._limits = sensor_noise(windows), limits_of(windows, options)
-        self._data = workers.submit(given, windows)
+        self._data = workers.submit(scatter, windows)
         self._methods: dict[str, Any] = {}
 
     @cached_property

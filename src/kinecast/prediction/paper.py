@@ -27,7 +27,7 @@ from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import LENGTHS, RELATIVE, SERIES, roll_positions, roll_series
 from kinecast.prediction.rollout_density import PositionRolloutBlocks, PostureRolloutBlocks
 from kinecast.prediction.sparse_gp import SparseGPOptions, SparseGPs, fit_sparse_gp
-from kinecast.tasks.workers import Workers
+from kinecast.tasks import Workers
 
 __all__ = ["PositionSeries", "PostureSeries"]
 

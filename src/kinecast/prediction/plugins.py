@@ -17,7 +17,7 @@ import numpy as np
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.method import Forecast, Method
 from kinecast.prediction.observation import Observation, TrainingWindows
-from kinecast.tasks.workers import CARRIED
+from kinecast.tasks import CARRIED
 
 __all__ = ["is_plugin", "load_plugin", "train_plugin"]
 

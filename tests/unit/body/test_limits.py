@@ -76,17 +76,14 @@ def test_axial_rotation_is_internal_at_a_table_and_so_negative(assembly: np.ndar
 
 
 def test_branches_are_judged_by_the_default_ranges() -> None:
-    limits = JointLimits()
-    np.testing.assert_array_equal(limits.lower[:4], [lower for lower, _ in USUAL_RANGE])
-    np.testing.assert_array_equal(limits.upper[:4], [upper for _, upper in USUAL_RANGE])
+    lower, upper, _ = JointLimits().of_posture()
+    for arm in (LEFT_ARM, RIGHT_ARM):
+        np.testing.assert_array_equal(np.stack([lower[arm], upper[arm]], axis=1), USUAL_RANGE)
 
 
 def test_posture_limits_bind_the_arm_angles_alone() -> None:
-    limits = JointLimits()
-    lower, upper, speed = limits.of_posture()
-    np.testing.assert_array_equal(lower[LEFT_ARM], limits.lower[:4])
-    np.testing.assert_array_equal(upper[RIGHT_ARM], limits.upper[:4])
-    np.testing.assert_array_equal(speed[RIGHT_ARM], limits.speed[:4])
+    lower, upper, speed = JointLimits().of_posture()
+    np.testing.assert_array_equal(speed[RIGHT_ARM], 12.0)
     others = [0, 1, 2, 3, 4, 5, 10, 11, 16, 17]
     assert np.isneginf(lower[others]).all()
     assert np.isposinf(upper[others]).all()
@@ -173,7 +170,7 @@ def test_an_angle_outside_its_range_is_found_at_its_step(arm: int, angle: int, e
         JointLimits(),
         **{name: AngleLimit(-1.5, 1.5, 1e6) for name in ("flexion", "abduction", "axial_rotation")},
     )
-    limit = getattr(limits, end)[angle]
+    limit = limits.of_posture()[("lower", "upper").index(end)][arm + angle]
     outward = 1.0 if end == "upper" else -1.0
     path = still()
     path[2, arm + angle] = limit + outward * 1e-6

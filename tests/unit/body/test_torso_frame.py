@@ -160,7 +160,7 @@ def test_lying_on_the_side_follows_the_spine() -> None:
     np.testing.assert_allclose(T[:3, :3], rotation, atol=1e-14)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     arrays(
         np.float64,

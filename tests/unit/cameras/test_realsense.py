@@ -310,7 +310,7 @@ def test_the_command_predicts_from_it(
         capture_output=True,
         text=True,
         check=False,
-        timeout=5 * LONG,
+        timeout=2 * LONG,
     )
     assert done.returncode == 0, done.stderr
     assert re.search(rf"^realsense:{recording[0]}\s+ended\s+[1-9]", done.stdout, re.MULTILINE)

@@ -62,7 +62,7 @@ def scenes(draw: st.DrawFn) -> list[dict[str, Any]]:
     return found
 
 
-FILES = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @FILES

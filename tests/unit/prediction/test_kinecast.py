@@ -18,7 +18,7 @@ from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 from kinecast.prediction.kinecast.weights import HALF_LIVES, LEADS, LONG_RUN, fallback_weights
 from kinecast.prediction.method import forecast_in_scene
 from kinecast.prediction.observation import Observation, TrainingWindows
-from kinecast.tasks.workers import Progress, Serial
+from kinecast.tasks import Progress, Serial
 
 SMALL = KinecastOptions(pseudo_inputs=12, network_steps=20, folds=2, networks=1)
 NOISE = 0.002

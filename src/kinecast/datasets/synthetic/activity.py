@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.datasets.synthetic.paths import PEAK, Path, Sway
-from kinecast.datasets.synthetic.physique import Body, Trunk, joints, reach_ratio, shoulder
+from kinecast.datasets.synthetic.physique import Body, Trunk, joints
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
-
-TASKS = ("pick_and_place", "carrying", "reaching")
 
 LEFT, RIGHT = 0, 1
 WRIST_ABOVE_TABLE = 0.08
@@ -24,7 +23,8 @@ SHORTEST = 0.4
 HANDLE = 0.13
 """From the middle of the crate to each hand [m]."""
 
-Point = Float[np.ndarray, " 3"]
+Point: TypeAlias = Float[np.ndarray, " 3"]
+Targets: TypeAlias = Mapping[int, Point]
 
 
 class Actor:
@@ -34,14 +34,12 @@ class Actor:
     Id idle. The last quarter of the movement to an object or to its place belongs to Pi or Pl.
     """
 
-    def __init__(
-        self, body: Body, scene: Scene, rng: np.random.Generator, table_height: float, hesitation: float = 0.0
-    ) -> None:
+    def __init__(self, body: Body, scene: Scene, rng: np.random.Generator, table: float, hesitation: float = 0.0):
         self._body = body
         self._hesitation = hesitation
         self._goals = scene.goals
         self._rng = rng
-        self._wrist_height = table_height + WRIST_ABOVE_TABLE
+        self._wrist_height = table + WRIST_ABOVE_TABLE
         rest = [self._rest(LEFT), self._rest(RIGHT)]
         self._hands = [Path(rest[LEFT]), Path(rest[RIGHT])]
         self._trunk = Path(self._posture(np.stack(rest), turn_to=0.0))
@@ -54,14 +52,9 @@ class Actor:
 
     def perform(self, task: str, duration: float) -> None:
         """Do one of `TASKS` over and over until the time [s] is up."""
-        step = {
-            "pick_and_place": self._pick_and_place,
-            "carrying": self._carry_crate,
-            "reaching": self._touch,
-        }[task]
         self._dwell("Id", 0.2, 1.0)
         while self._now < duration:
-            step()
+            TASKS[task](self)
 
     def fetch(self, start: float, place: Point, hand: int, hold: float) -> None:
         """Reach for a place of the wrist [m] at a time [s], or when the last movement has ended; hold it, draw back."""
@@ -73,9 +66,9 @@ class Actor:
     def joints(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 10 3"]:
         """(N, 10, 3) true joint positions [m] at times [s], in the order of `physique.JOINTS`."""
         wander = self._wander.at(times)
-        trunk = Trunk(wander[:, :2], *(self._trunk.at(times) + wander[:, 2:]).T)
+        trunk = Trunk(self._body, wander[:, :2], *(self._trunk.at(times) + wander[:, 2:]).T)
         hands = [path.at(times) + sway.at(times) for path, sway in zip(self._hands, self._tremble, strict=True)]
-        return joints(self._body, trunk, np.stack(hands, 1), self._swivel.at(times) + self._elbow_sway.at(times))
+        return joints(trunk, np.stack(hands, 1), self._swivel.at(times) + self._elbow_sway.at(times))
 
     def labels(self, times: Float[np.ndarray, " N"]) -> tuple[str, ...]:
         """The label of each time."""
@@ -133,11 +126,7 @@ class Actor:
             self._dwell("Id", 0.2, 1.5)
 
     def _reach(
-        self,
-        targets: Mapping[int, Point],
-        labels: tuple[str, str],
-        lift: float | None = None,
-        instead: Point | None = None,
+        self, targets: Targets, labels: tuple[str, str], lift: float | None = None, instead: Point | None = None
     ) -> None:
         """Move one hand or both, trunk and elbows with them.
 
@@ -145,19 +134,17 @@ class Actor:
         natural arch if None; now and then the hand sets out for `instead` first.
         """
         (first, goal), *_ = targets.items()
+        self._labels.append((self._now, labels[0]))
         if instead is not None and self._rng.random() < self._hesitation:
-            wrong = self._move({first: instead}, lift)
-            self._labels.append((self._now, labels[0]))
+            start, wrong = self._now, self._move({first: instead}, lift)
             self._now += wrong * self._rng.uniform(0.35, 0.6)
-            remaining = wrong - (self._now - self._labels[-1][0])
-            duration = self._move({first: goal}, 0.0, at_least=remaining + 0.25)
+            duration = self._move({first: goal}, 0.0, at_least=wrong - (self._now - start) + 0.25)
         else:
             duration = self._move(targets, lift)
-            self._labels.append((self._now, labels[0]))
         self._labels.append((self._now + 0.75 * duration, labels[1]))
         self._now += duration
 
-    def _move(self, targets: Mapping[int, Point], lift: float | None, at_least: float = SHORTEST) -> float:
+    def _move(self, targets: Targets, lift: float | None, at_least: float = SHORTEST) -> float:
         """Start a movement now; its duration [s]."""
         rng = self._rng
         tempo = self._body.tempo * np.exp(np.clip(rng.normal(0.0, 0.12), -0.25, 0.25))
@@ -183,9 +170,9 @@ class Actor:
         """Lean, twist and tilt [rad]: the least lean that brings both wrists into comfortable reach."""
         lean = np.linspace(0.04, 0.9, 44)
         twist, tilt = 0.3 * turn_to, -0.06 * turn_to
-        trunk = Trunk(np.zeros((44, 2)), lean, np.full(44, twist), np.full(44, tilt))
+        trunk = Trunk(self._body, np.zeros((44, 2)), lean, np.full(44, twist), np.full(44, tilt))
         ratios = [
-            reach_ratio(self._body, shoulder(self._body, trunk, side), np.tile(wrist, (44, 1)))
+            self._body.reach_ratio(trunk.shoulder(side), np.tile(wrist, (44, 1)))
             for side, wrist in zip((1.0, -1.0), wrists, strict=True)
         ]
         excess = np.maximum(np.max(ratios, axis=0), self._body.stretch)
@@ -219,3 +206,10 @@ class Actor:
         """Another cube the same hand could have been after."""
         near = "red_cube" if hand == LEFT else "blue_cube"
         return self._within("green_cube" if goal == near else near)
+
+
+TASKS: Mapping[str, Callable[[Actor], None]] = {
+    "pick_and_place": Actor._pick_and_place,
+    "carrying": Actor._carry_crate,
+    "reaching": Actor._touch,
+}

@@ -3,18 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import cycle
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import lfilter
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic.activity import LEFT, RIGHT, TASKS, WRIST_ABOVE_TABLE, Actor
 from kinecast.datasets.synthetic.physique import JOINTS, Body
-from kinecast.datasets.synthetic.sensor import sense
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
+
+BREATHING_TIME = 0.83
+"""Correlation time of the common bone length [s]; HA4M: 0.96, 0.67, 0.26 after 1, 10, 30 frames at 30 Hz."""
+
+LARGEST_JUMP = 24.0
+"""Fastest tracker jump [m/s], HA4M V001."""
+
+SWAPPED = 0.3
+"""Share of jumps that exchange left and right for a moment; HA4M V001 at 34.1 s."""
+
+LOST_FRAMES = 5.0
+"""Mean length of a dropout, in frames."""
+
+RANGES = {
+    "subjects": (1, 10_000),
+    "recordings": (1, 10_000),
+    "duration": (0.1, 3600.0),
+    "rate": (1.0, 1000.0),
+    "table_height": (0.8, 0.9),  # lower than any elbow, and within the reach of all
+    "hesitation": (0.0, 1.0),
+    "noise": (0.0, 0.1),
+    "breathing": (0.0, 0.2),
+    "repeated": (0.0, 0.9),
+    "jumps": (0.0, 10.0),
+    "dropouts": (0.0, 0.9),
+}
 
 
 @dataclass(frozen=True)
@@ -48,20 +75,7 @@ class SyntheticOptions:
     dropouts: float = 0.01  # HA4M has none, the Vicon recordings 0-5 %
 
     def __post_init__(self) -> None:
-        ranges = {
-            "subjects": (1, 10_000),
-            "recordings": (1, 10_000),
-            "duration": (0.1, 3600.0),
-            "rate": (1.0, 1000.0),
-            "table_height": (0.8, 0.9),  # lower than any elbow, and within the reach of all
-            "hesitation": (0.0, 1.0),
-            "noise": (0.0, 0.1),
-            "breathing": (0.0, 0.2),
-            "repeated": (0.0, 0.9),
-            "jumps": (0.0, 10.0),
-            "dropouts": (0.0, 0.9),
-        }
-        for name, (low, high) in ranges.items():
+        for name, (low, high) in RANGES.items():
             if not low <= getattr(self, name) <= high:
                 raise OptionError(f"{name} {getattr(self, name)} is outside {low}..{high}")
 
@@ -109,11 +123,7 @@ def generate(options: SyntheticOptions, seed: int) -> list[Recording]:
         `options.subjects` × `options.recordings` recordings with labels, subject and task; frame by frame the
         motions of `generate_clean` with the same options and seed.
     """
-    o = options
-    return [
-        sense(truth, np.random.default_rng(sensor), o.noise, o.breathing, o.repeated, o.jumps, o.dropouts)
-        for truth, sensor in _performances(options, seed)
-    ]
+    return [_sensed(truth, np.random.default_rng(sensor), options) for truth, sensor in _performances(options, seed)]
 
 
 def generate_clean(options: SyntheticOptions, seed: int) -> list[Recording]:
@@ -132,13 +142,11 @@ def _performances(options: SyntheticOptions, seed: int) -> list[tuple[Recording,
     for subject, person in enumerate(np.random.SeedSequence(seed).spawn(options.subjects)):
         build, *takes = person.spawn(1 + options.recordings)
         body = Body.sample(np.random.default_rng(build))
-        for take, source in enumerate(takes):
+        for take, (task, source) in enumerate(zip(cycle(TASKS), takes, strict=False)):
             motion, sensor = source.spawn(2)
-            task = TASKS[take % len(TASKS)]
             actor = Actor(body, scene, np.random.default_rng(motion), options.table_height, options.hesitation)
             actor.perform(task, options.duration)
-            truth = _recorded(actor, stamps, options.rate, f"{task}/{subject}-{take}", subject, task)
-            performances.append((truth, sensor))
+            performances.append((_recorded(actor, stamps, options.rate, f"{subject}-{take}", subject, task), sensor))
     return performances
 
 
@@ -163,14 +171,14 @@ def fetching(fetches: Sequence[Fetch], duration: float, seed: int, rate: float =
         left = fetch.place[1] > 0 if fetch.left is None else fetch.left
         actor.fetch(fetch.start, fetch.place, LEFT if left else RIGHT, fetch.hold)
     stamps = np.arange(max(2, round(duration * rate))) / rate
-    return _recorded(actor, stamps, rate, f"fetching/{seed}", seed, "fetching")
+    return _recorded(actor, stamps, rate, str(seed), seed, "fetching")
 
 
 def _recorded(
     actor: Actor, stamps: Float[np.ndarray, " N"], rate: float, name: str, subject: int, task: str
 ) -> Recording:
     return Recording(
-        name=f"synthetic/{name}",
+        name=f"synthetic/{task}/{name}",
         joints=JOINTS,
         stamps=stamps,
         positions=actor.joints(stamps),
@@ -180,3 +188,48 @@ def _recorded(
         labels=actor.labels(stamps),
         notes=("generated",),
     )
+
+
+def _sensed(truth: Recording, rng: np.random.Generator, options: SyntheticOptions) -> Recording:
+    """A recording as a depth camera and its skeleton tracker would have made it."""
+    chest = truth.positions[:, JOINTS.index("chest"), None]
+    factor = 1.0 + options.breathing * _breathing(rng, len(chest), truth.rate)
+    positions = chest + factor[:, None, None] * (truth.positions - chest)
+    spread = options.noise * np.array([1.5 if "elbow" in name or "wrist" in name else 1.0 for name in JOINTS])
+    positions += rng.normal(0.0, 1.0, positions.shape) * spread[:, None]
+    _jump(rng, positions, truth.rate, options.jumps)
+    _lose(rng, positions, options.dropouts)
+    for frame in np.flatnonzero(rng.random(len(positions) - 1) < options.repeated) + 1:
+        positions[frame] = positions[frame - 1]
+    return replace(truth, positions=positions, notes=("generated, with a simulated tracker",))
+
+
+def _breathing(rng: np.random.Generator, frames: int, rate: float) -> Float[np.ndarray, " N"]:
+    """(N,) first-order autoregression of standard deviation 1, cut at 2.5."""
+    rho = np.exp(-1.0 / (BREATHING_TIME * rate))
+    innovations = rng.normal(0.0, np.sqrt(1.0 - rho**2), frames)
+    innovations[0] = rng.normal()
+    return np.asarray(np.clip(lfilter([1.0], [1.0, -rho], innovations), -2.5, 2.5))
+
+
+def _jump(rng: np.random.Generator, positions: Float[np.ndarray, "N 10 3"], rate: float, per_second: float) -> None:
+    """For one to three frames an arm is somewhere else, or left is right (in place)."""
+    frames = len(positions)
+    for _ in range(rng.poisson(per_second * frames / rate)):
+        start = int(rng.integers(frames))
+        slip = slice(start, start + int(rng.integers(1, 4)))
+        if rng.random() < SWAPPED:
+            positions[slip, :6] = positions[slip, [3, 4, 5, 0, 1, 2]]
+            continue
+        first = int(rng.choice([1, 2, 2, 4, 5, 5]))  # an elbow with its wrist, or a wrist alone
+        direction = rng.normal(size=3)
+        far = min(rng.exponential(0.2) + 0.08, 0.9 * LARGEST_JUMP / rate)
+        positions[slip, first : 3 * (first // 3) + 3] += far * direction / np.linalg.norm(direction)
+
+
+def _lose(rng: np.random.Generator, positions: Float[np.ndarray, "N 10 3"], share: float) -> None:
+    """Runs of frames without a wrist, or without wrist and elbow (in place)."""
+    for end in (3, 6):
+        starts = np.flatnonzero(rng.random(len(positions)) < share / LOST_FRAMES)
+        for start, length in zip(starts, rng.geometric(1.0 / LOST_FRAMES, len(starts)), strict=True):
+            positions[start : start + length, end - int(rng.integers(1, 3)) : end] = np.nan

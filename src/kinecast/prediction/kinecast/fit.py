@@ -16,7 +16,7 @@ from kinecast.prediction.kinecast.features import yaw_frame
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, Mixture, MixtureOutput
 from kinecast.prediction.kinecast.weights import Gate, fit_gate
 from kinecast.prediction.observation import TrainingWindows
-from kinecast.tasks.workers import Workers, generator
+from kinecast.tasks import Workers, generator
 
 __all__ = ["KinecastOptions", "fitting_kinecast"]
 

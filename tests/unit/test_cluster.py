@@ -18,7 +18,6 @@ import pytest
 pytest.importorskip("distributed")
 
 from distributed import LocalCluster
-from kinecast.prediction.kinecast.expert_training import fit_network
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic import SyntheticOptions, generate
@@ -26,11 +25,9 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ClusterError, DatasetError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
+from kinecast.prediction.kinecast.experts import fit_network
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
-from kinecast.tasks.cluster import Cluster, cluster_at, worker_count
-from kinecast.tasks.workers import Serial, Workers, given
-
-OPTIONS = TrainingOptions(pseudo_inputs=4, points=100, iterations=2)
+from kinecast.tasks import Cluster, Serial, Workers, cluster_at, scatter, worker_count
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +59,7 @@ class Killer:
 def outcome(people: list[Recording], workers: Workers, progress: Any = None) -> tuple[dict[str, bytes], str]:
     """Arrays of trained methods, and their scores as text."""
     windows = training_windows(people[:2], WindowOptions(), workers=workers)
-    methods = train(["ridge_angles", "gp_xyz"], windows, OPTIONS, progress, workers)
+    methods = train(["ridge", "ridge_angles"], windows, TrainingOptions(), progress, workers)
     _, whole = shipped_methods()
     methods["kinecast"] = whole["kinecast"]  # it follows the person; training it takes long
     arrays = {f"{name}.{key}": a.tobytes() for name, m in methods.items() for key, a in m.to_arrays().items()}
@@ -102,7 +99,7 @@ def test_what_a_task_raises_is_raised_here(cluster: Cluster) -> None:
     bad = cluster.submit(all_windows, [], WindowOptions())
     with pytest.raises(DatasetError, match=r"no window of 0\.7 s"):
         cluster.results([bad])
-    assert cluster.results([cluster.submit(operator.add, cluster.submit(given, 1), 2)]) == [3]
+    assert cluster.results([cluster.submit(operator.add, cluster.submit(scatter, 1), 2)]) == [3]
 
 
 def test_a_task_that_kills_its_workers_is_given_up(cluster: Cluster) -> None:
@@ -120,27 +117,27 @@ class Foreign:
 
 def test_what_a_worker_lacks_is_said(cluster: Cluster) -> None:
     with pytest.raises(ClusterError, match="a worker lacks something: No module named 'no_such_module'"):
-        cluster.results([cluster.submit(given, Foreign())])
-    assert cluster.results([cluster.submit(given, 5)]) == [5]
+        cluster.results([cluster.submit(scatter, Foreign())])
+    assert cluster.results([cluster.submit(scatter, 5)]) == [5]
 
 
 def test_modules_of_the_users_own_travel(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "only_here.py").write_text("factor = 3\ndef triple(x):\n    return factor * x\n")
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module("only_here")
-    monkeypatch.setattr("kinecast.tasks.cluster.CARRIED", {module})
+    monkeypatch.setattr("kinecast.tasks.CARRIED", {module})
     assert cluster.results([cluster.submit(module.triple, 14)]) == [42]
 
 
 def test_without_workers_nothing_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     place = {"processes": False, "n_workers": 1, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(**place) as local, cluster_at(local.scheduler_address) as emptied:
-        monkeypatch.setattr("kinecast.tasks.cluster.PATIENCE", 0.2)
+        monkeypatch.setattr("kinecast.tasks.PATIENCE", 0.2)
         local.scale(0)
         while emptied.client.scheduler_info(n_workers=-1)["workers"]:
             time.sleep(0.02)
         with pytest.raises(ClusterError, match="no worker is left; 1 tasks are not done"):
-            emptied.results([emptied.submit(given, 1)])
+            emptied.results([emptied.submit(scatter, 1)])
 
 
 def test_a_scheduler_has_an_address(cluster: Cluster) -> None:

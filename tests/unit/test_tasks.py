@@ -12,12 +12,12 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from kinecast.errors import ClusterError, DatasetError, KinecastError, MissingExtraError
-from kinecast.tasks.workers import Serial, generator, given
+from kinecast.tasks import Serial, generator, scatter
 
 
 def test_a_task_may_need_others_alone_or_in_a_list() -> None:
     workers, told = Serial(), list[tuple[int, int]]()
-    two = workers.submit(given, 2)
+    two = workers.submit(scatter, 2)
     five = workers.submit(operator.add, two, 3)
     total = workers.submit(sum, [two, five, 10])
     assert workers.results([total, two], lambda *now: told.append(now)) == [17, 2]
@@ -31,7 +31,7 @@ def test_a_task_that_fails_raises_what_it_raised_and_the_next_ones_go_on() -> No
     failing = workers.submit(operator.truediv, 1, 0)
     with pytest.raises(ZeroDivisionError):
         workers.results([failing])
-    assert workers.results([workers.submit(given, 1)]) == [1]
+    assert workers.results([workers.submit(scatter, 1)]) == [1]
 
 
 def test_arguments_are_let_go_once_a_task_is_done() -> None:

@@ -1,0 +1,327 @@
+"""Long work as tasks: one after another in this process, or spread over a Dask cluster, with the same results.
+
+A task is a function and its arguments; an argument may be what `submit` returned for another task, alone or in a list.
+Nothing else may pass between tasks: no global state, and no generator of random numbers but one made from a seed and
+the task's own place (`generator`). Their order then does not matter, nor where they run.
+
+What passes between client, scheduler and workers of a cluster is pickled: whoever can reach one of them can run code
+there. A cluster on this machine listens to this machine alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import pickle
+import platform
+import re
+import signal
+import sys
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, closing, contextmanager
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from kinecast.errors import ClusterError, MissingExtraError, OptionError
+
+CARRIED: set[ModuleType] = set()
+"""Modules of the user's own, whose code travels with tasks: workers elsewhere may not have them."""
+PATIENCE = 60
+"""How long the first worker may take to come, and how long there may be none [s]."""
+MATTERING = ("numpy", "scipy", "numba", "jax", "jaxlib")
+"""Packages whose version may change the last bits of results."""
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+SETTINGS = {
+    # One thread, since there are as many workers as cores. This replaces Dask's own environment of a worker, which
+    # makes the C library hand every array's memory back: half as fast.
+    "distributed.nanny.pre-spawn-environ": {**dict.fromkeys(THREADS, "1"), "OMP_WAIT_POLICY": "PASSIVE"},
+    "distributed.admin.large-graph-warning-threshold": 2**40,  # recordings and windows travel with the tasks
+    "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine needs long to start another; Dask gives up
+}
+
+Progress = Callable[[int, int], None]
+"""Called with (done, total) tasks."""
+
+
+@runtime_checkable
+class Workers(Protocol):
+    """Does tasks."""
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Takes a task on; returns what stands for its result.
+
+        Args:
+            function: of a module, or a partial of one: its name travels, not its code.
+            arguments: values, or what `submit` returned for other tasks, alone or in a list.
+        """
+        ...
+
+    def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
+        """What tasks gave, once every task taken on is done.
+
+        Args:
+            handles: what `submit` returned.
+            progress: called with (done, total) tasks taken on since the last results.
+
+        Raises:
+            Exception: what the first task that failed raised.
+            ClusterError: the scheduler is gone, or no worker is left, or workers died again and again under a task.
+        """
+        ...
+
+
+class _Task:
+    """A task of this process; its arguments are let go once it is done."""
+
+    def __init__(self, *call: Any) -> None:
+        self.call = call
+        self.result: Any = None
+
+
+class Serial:
+    """Workers that are this process: each task in its turn."""
+
+    def __init__(self) -> None:
+        self._waiting: list[_Task] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> _Task:
+        """See Workers."""
+        self._waiting.append(_Task(function, *arguments))
+        return self._waiting[-1]
+
+    def results(self, handles: Sequence[_Task], progress: Progress | None = None) -> list[Any]:
+        """See Workers."""
+        waiting, self._waiting = self._waiting, []
+        for done, task in enumerate(waiting, 1):
+            call, task.call = task.call, ()
+            task.result = single_threaded(*_each(lambda task: task.result, _Task, call))
+            if progress:
+                progress(done, len(waiting))
+        return [task.result for task in handles]
+
+
+def single_threaded(function: Callable[..., Any], *arguments: Any) -> Any:
+    """A function's result, its linear algebra in one thread: sums over several threads would depend on their number."""
+    import scipy.linalg  # noqa: F401 - a BLAS that is not loaded yet could not be limited
+
+    with threadpool_limits(1, user_api="blas"):
+        return function(*arguments)
+
+
+def generator(seed: int, *place: int) -> np.random.Generator:
+    """Random numbers of one task: the same for the same place, unlike those of every other place and seed."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=place))
+
+
+def scatter(value: Any) -> Any:
+    """A value as a task, so that it travels once to each worker, however many tasks need it."""
+    return value
+
+
+def _each(function: Callable[[Any], Any], kind: type, values: Sequence[Any]) -> list[Any]:
+    """The function of those values that are of a kind, alone or in a list, among the others as they are."""
+    return [
+        _each(function, kind, value)
+        if isinstance(value, list)
+        else function(value)
+        if isinstance(value, kind)
+        else value
+        for value in values
+    ]
+
+
+class Cluster:
+    """Workers that are a Dask cluster's; the tasks of a worker that is lost are done again by others.
+
+    Args:
+        client: a distributed.Client, connected to a scheduler.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+        self._waiting: list[Any] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """See Workers."""
+        import cloudpickle
+        from distributed import Future
+
+        for module in CARRIED:
+            cloudpickle.register_pickle_by_value(module)
+        name = getattr(function.func if isinstance(function, partial) else function, "__name__", "task")
+        key = f"{name.strip('_')}-{uuid.uuid4().hex}"
+        needed: list[Future] = []
+
+        def place(future: Future) -> _Place:
+            needed.append(future)
+            return _Place(len(needed) - 1)
+
+        call = cloudpickle.dumps(_each(place, Future, (function, *arguments)))
+        future = self.client.submit(_on_worker, call, needed, key=key, pure=False)
+        self._waiting.append(future)
+        return future
+
+    def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
+        """See Workers."""
+        from distributed import KilledWorker
+
+        waiting, self._waiting = self._waiting, []
+        try:
+            for done, future in enumerate(self._as_completed(waiting), 1):
+                if future.status != "finished":
+                    future.result()  # raises what the task raised
+                if progress:
+                    progress(done, len(waiting))
+            found: list[Any] = self.client.gather(list(handles))
+        except KilledWorker as error:
+            task = str(error.task).partition("-")[0]
+            raise ClusterError(
+                f"{error.allowed_failures} workers died under the task {task}: is there enough memory?"
+            ) from None
+        except (Exception, CancelledError) as error:
+            if self.client.status != "running":
+                raise ClusterError("the scheduler is gone") from error
+            self.client.cancel(waiting, force=True)
+            raise
+        return found
+
+    def _as_completed(self, futures: Sequence[Any]) -> Iterator[Any]:
+        """Each future once it is done; ClusterError where no worker is left to do the rest."""
+        from distributed import as_completed
+
+        rest = dict.fromkeys(futures)
+        while rest:
+            try:
+                for future in as_completed(list(rest), loop=self.client.loop, timeout=PATIENCE):
+                    del rest[future]
+                    yield future
+            except TimeoutError:
+                if not self.client.scheduler_info(n_workers=-1)["workers"]:
+                    raise ClusterError(f"no worker is left; {len(rest)} tasks are not done") from None
+
+
+class _Place(NamedTuple):
+    """Of another task's result among those that a task needs."""
+
+    number: int
+
+
+def _on_worker(content: bytes, results: list[Any]) -> Any:
+    """A task on a worker. It comes pickled: Dask loses a worker that cannot unpickle what comes."""
+    try:
+        call = _each(lambda place: results[place.number], _Place, pickle.loads(content))
+    except ImportError as error:
+        raise ClusterError(f"a worker lacks something: {error}") from error
+    return single_threaded(*call)
+
+
+@contextmanager
+def cluster_at(where: str) -> Iterator[Cluster]:
+    """A cluster, for as long as it is needed (extra `cluster`).
+
+    Args:
+        where: `local` for a worker on every core of this machine, `local:N` for N of them, or a scheduler's address.
+
+    Raises:
+        OptionError: it is neither.
+        ClusterError: there is none, no worker comes, or the workers are not fit.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:  # pragma: no cover - the tests install it
+        raise MissingExtraError("clusters", "cluster") from error
+
+    count = worker_count(where)
+    with dask.config.set(SETTINGS), ExitStack() as opened:
+        try:
+            scheduler: Any = where
+            if count is not None:
+                with _deaf_to_interrupts():
+                    local = LocalCluster(
+                        n_workers=count, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
+                        memory_limit=0, silence_logs=logging.CRITICAL,
+                    )  # fmt: skip
+                    scheduler = opened.enter_context(closing(local))
+            client = opened.enter_context(closing(Client(scheduler, timeout=PATIENCE, set_as_default=False)))
+        except (OSError, ValueError) as error:
+            raise ClusterError(f"--cluster {where}: no scheduler ({error})") from None
+        _check(client, where, count or 1)
+        yield Cluster(client)
+
+
+def worker_count(where: str) -> int | None:
+    """Workers asked for on this machine; None for a scheduler's address.
+
+    Raises:
+        OptionError: no address, or a number of workers outside 1..1024.
+    """
+    kind, _, number = where.partition(":")
+    if where == "local":
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if kind == "local" and re.fullmatch("[0-9]{1,4}", number) and 1 <= int(number) <= 1024:
+        return int(number)
+    if kind == "local" or not number:
+        raise OptionError(
+            f"--cluster {where}: expected local, local:N with N of 1..1024, or HOST:PORT, tls://HOST:PORT"
+        )
+    return None
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Threads and processes begun meanwhile do not hear Ctrl-C, which a terminal sends to all."""
+    from multiprocessing import resource_tracker
+
+    if not hasattr(signal, "pthread_sigmask"):  # pragma: no cover - Windows
+        yield
+        return
+    sys.warnoptions.append("ignore:resource_tracker")  # it tidies up after a process that is killed, and says so
+    resource_tracker.ensure_running()  # else the first process would start it, and let interrupts in again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _check(client: Any, where: str, count: int) -> None:
+    """Workers are there, with one thread each, and compute as this process does."""
+    try:
+        client.wait_for_workers(count, timeout=PATIENCE)
+    except TimeoutError:
+        raise ClusterError(f"--cluster {where}: no worker came within {PATIENCE} s") from None
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    if any(worker["nthreads"] != 1 for worker in workers.values()):
+        raise ClusterError(f"--cluster {where}: a worker has several threads; start workers with --nthreads 1")
+    try:
+        found = client.run(_facts)
+    except ImportError as error:
+        raise ClusterError(f"--cluster {where}: a worker cannot run kinecast ({error})") from None
+    own = _facts()
+    for worker, others in found.items():
+        unlike = [f"{name} {other} and not {own[name]}" for name, other in others.items() if other != own[name]]
+        if unlike:
+            raise ClusterError(f"--cluster {where}: {worker} has {', '.join(unlike)}; results would differ")
+
+
+def _facts() -> dict[str, str]:
+    """What the last bits of results depend on; not the BLAS that a wheel such as OpenCV's has for itself."""
+    found = {"kinecast": version("kinecast"), "processor": platform.machine()}
+    for package in MATTERING:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "(none)"
+    pools = [(pool, Path(pool["filepath"]).parent.name) for pool in threadpool_info() if pool["user_api"] == "blas"]
+    ours = ("numpy.libs", "scipy.libs")
+    kinds = {str(pool.get("architecture")) for pool, folder in pools if folder in ours or not folder.endswith(".libs")}
+    return {**found, "BLAS": "/".join(sorted(kinds))}
