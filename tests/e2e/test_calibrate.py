@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from kinecast.cameras.charuco import CharucoBoard
+from kinecast.cameras.calibration import CharucoBoard
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform

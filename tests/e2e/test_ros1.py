@@ -250,8 +250,13 @@ def test_skeletons_in_and_predictions_out(start: Callable[..., Any], ros: dict[s
         peer.tell("/spheres", {"markers": spheres})
 
     hanging = np.array([[0.0, side * 0.16, height] for side in (1, -1) for height in (1.55, 1.23, 1.03)])
-    for person, place in (("b", REST), ("c1", REST), ("d2", hanging)):
-        told = peer.wait(lambda heard, person=person: heard["message"].get("person") == person, moment)
+    for person, topic, place in (("b", "/spheres", REST), ("c1", "/tf", REST), ("d2", "/angles", hanging)):
+
+        def of(heard: dict[str, Any], person: str = person, topic: str = topic) -> bool:
+            """TF shows d2's pelvis too, and no arms."""
+            return heard["message"].get("person") == person and f":{topic}" in heard["message"]["source"]
+
+        told = peer.wait(of, moment)
         assert told["header"]["frame_id"] == "world"
         np.testing.assert_allclose(array(told["observed"]), place + np.array([1.0, 2.0, 0.0]), atol=1e-9)
     live.end()

@@ -1,5 +1,6 @@
 """Where several cameras stand, from a board that they see together, again and again.
 
+It is a ChArUco board: a chessboard with markers in its white squares, so that a part of it is enough.
 Each picture gives the board's place before its camera; two cameras with a picture of the same moment are tied by it.
 All cameras and all places of the board are then adjusted together so that the corners appear where they were seen,
 with Huber's loss: a corner found wrongly pulls no harder than one a pixel off (Triggs et al. 2000, Bundle adjustment).
@@ -7,18 +8,31 @@ with Huber's loss: a corner found wrongly pulls no harder than one a pixel off (
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from scipy.optimize import least_squares
 
-from kinecast.cameras.charuco import Corners
 from kinecast.cameras.pinhole import Intrinsics
-from kinecast.errors import DatasetError
+from kinecast.errors import DatasetError, MissingExtraError, OptionError
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
+
+try:
+    import cv2
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("calibration", "camera") from error
+
+MARKER = 0.74  # side of a marker, of a square's: white around it as wide as one of its own fields
+DOTS_PER_METRE = 300 / 0.0254
+MARGIN = 0.01  # white around the board [m]
+HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
+LEAST_CORNERS = 6
 
 FEWEST_PICTURES = 6  # for the intrinsics of a camera
 HUBER = 1.0  # pixels
@@ -29,9 +43,69 @@ STEP = 1e-6  # for differences [rad], [m]
 NEAREST = 1e-3  # depth of a corner that is behind its camera [m]: far off, and no division by zero
 ANGLE_WEIGHT = 1.0  # metres that a radian counts for where transforms are compared
 
-Views = Mapping[str, Mapping[str, Corners]]
-"""Per camera, per moment, what is seen of the board."""
 Poses = dict[str, Float[np.ndarray, "4 4"]]
+
+
+@dataclass(frozen=True)
+class Corners:
+    """What is seen of a board in one picture."""
+
+    points: Float[np.ndarray, "K 3"]  # on the board [m]: x to the right, y down, as printed
+    pixels: Float[np.ndarray, "K 2"]  # where they are seen [px]
+
+
+@dataclass(frozen=True)
+class CharucoBoard:
+    """A printed board."""
+
+    columns: int = 5  # squares along, 3 to 20
+    rows: int = 4  # and across
+    square: float = 0.070  # side of a square [m]
+
+    def __post_init__(self) -> None:
+        if not (3 <= self.columns <= 20 and 3 <= self.rows <= 20):
+            raise OptionError(f"a board of {self.columns}x{self.rows} squares: 3 to 20 a side are allowed")
+        if not 0.005 <= self.square <= 0.5:
+            raise OptionError(f"squares of {self.square:g} m are outside 0.005..0.5 m")
+
+    @property
+    def height(self) -> float:
+        """Length of the shorter direction [m], with `rows` squares."""
+        return self.rows * self.square
+
+    @cached_property
+    def pattern(self) -> Any:
+        """OpenCV's board."""
+        kind = cv2.aruco.DICT_4X4_50 if self.columns * self.rows <= 101 else cv2.aruco.DICT_4X4_250
+        dictionary = cv2.aruco.getPredefinedDictionary(kind)
+        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, MARKER * self.square, dictionary)
+
+    def picture(self) -> bytes:
+        """A PNG that prints at its true size."""
+        per_square, margin = round(self.square * DOTS_PER_METRE), round(MARGIN * DOTS_PER_METRE)
+        inner = self.pattern.generateImage((self.columns * per_square, self.rows * per_square), marginSize=0)
+        page = np.pad(inner, ((margin, 2 * margin), (margin, margin)), constant_values=255)
+        words = f"kinecast {self.columns}x{self.rows}, squares of {1e3 * self.square:g} mm: print at 100 %, keep flat"
+        place = (margin, page.shape[0] - margin // 2)
+        cv2.putText(page, words, place, cv2.FONT_HERSHEY_SIMPLEX, margin / 90, 0, max(margin // 50, 1), cv2.LINE_AA)
+        png, per_metre = cv2.imencode(".png", page)[1].tobytes(), round(per_square / self.square)
+        size = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)  # viewers print it at that size
+        return png[:HEADER] + struct.pack(">I", 9) + size + struct.pack(">I", zlib.crc32(size)) + png[HEADER:]
+
+    def corners(self, picture: UInt8[np.ndarray, "H W"]) -> Corners | None:
+        """The board's inner corners in a grey picture; None where fewer than six are seen, or all in one row."""
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        found, ids, _, _ = cv2.aruco.CharucoDetector(self.pattern, detectorParams=parameters).detectBoard(picture)
+        if found is None or ids is None or len(ids) < LEAST_CORNERS:
+            return None
+        points = np.asarray(self.pattern.getChessboardCorners(), dtype=np.float64)[np.ravel(ids)]
+        if np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)[-1] < self.square / 2:
+            return None
+        return Corners(points, np.asarray(found, dtype=np.float64).reshape(-1, 2))
+
+
+Views = Mapping[str, Mapping[str, Corners]]  # per camera, per moment, what is seen of the board
 
 
 @dataclass(frozen=True)
@@ -71,7 +145,12 @@ def find_extrinsics(
     The board lies at T_world_board (4, 4) in the moment `origin`. A DatasetError where a camera shares no moment with
     the others, or none saw the board at the origin.
     """
-    T_camera_board = {name: {m: _board_pose(lenses[name], c) for m, c in views[name].items()} for name in lenses}
+    T_camera_board: dict[str, Poses] = {name: {} for name in lenses}
+    for name, lens in lenses.items():
+        for moment, corners in views[name].items():  # of the two ways a plane can lie, the one that fits better
+            flat, plane = lens.directions(corners.pixels), cv2.SOLVEPNP_IPPE
+            _, turn, shift = cv2.solvePnP(corners.points, flat, np.eye(3), None, flags=plane)
+            T_camera_board[name][moment] = transform(from_rotation_vector(np.ravel(turn)), np.ravel(shift))
     if not any(origin in each for each in T_camera_board.values()):
         where = "in which it should lie where the world begins"
         raise DatasetError(origin, f"the board is not seen in this picture, {where}")
@@ -96,13 +175,6 @@ def find_extrinsics(
     T_world = T_world_board @ inverse(boards[origin])
     error = {name: float(np.sqrt(np.mean([e**2 for (c, _), e in errors.items() if c == name]))) for name in lenses}
     return Extrinsics({name: T_world @ T for name, T in cameras.items()}, error, std, left_out)
-
-
-def _board_pose(lens: Intrinsics, corners: Corners) -> Float[np.ndarray, "4 4"]:
-    """(4, 4) T_camera_board of one picture: of the two ways a plane can lie, the one that fits better."""
-    directions = lens.directions(corners.pixels)
-    _, turn, shift = cv2.solvePnP(corners.points, directions, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    return transform(from_rotation_vector(np.ravel(turn)), np.ravel(shift))
 
 
 def _chained(T_camera_board: Mapping[str, Mapping[str, np.ndarray]]) -> Poses:

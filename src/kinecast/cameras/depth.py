@@ -22,8 +22,7 @@ LEAST_RADIUS, MOST_RADIUS = 2, 15  # the same, in pixels
 LEAST_SHARE = 0.2  # of the pixels around a keypoint: fewer at one depth are noise at an edge
 GAP = 0.08  # between two surfaces at least [m], beyond what noise makes
 REACH = 1.2  # nothing of a person is so far from the middle of their depths [m]: arms are shorter
-DISPARITY_STD = 0.08
-"""Of two images of a calibrated D400 in ordinary scenes [px]: its designer in librealsense, issue 3904."""
+DISPARITY_STD = 0.08  # of a calibrated D400 in ordinary scenes [px]: its designer in librealsense, issue 3904
 
 
 def stereo_noise(focal: float = 424.0, baseline: float = 0.050) -> float:

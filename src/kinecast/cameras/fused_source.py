@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from kinecast.cameras.fusion.fusion import MOST_PEOPLE, Fusion
@@ -17,8 +17,7 @@ from kinecast.types import SkeletonFrame
 
 GATHER = 0.004  # people of one image who come in messages of their own come within this [s]
 PATIENCE = 0.05  # after so long without any image [s] a round ends without the cameras that are missing
-JUDGE, MOST_THROWN_OUT = 10.0, 30
-"""How often cameras are judged [s], and how many of a camera's views may be thrown out until then."""
+JUDGE, MOST_THROWN_OUT = 10.0, 30  # how often cameras are judged [s], and views that may be thrown out until then
 LOOK, CLOSING = 0.1, 5.0  # longest waits before looking whether to end, and for the end [s]
 
 log = logging.getLogger(__name__)
@@ -43,7 +42,7 @@ class FusedSource:
     """
 
     def __init__(self, rig: Rig, feed: Feed) -> None:
-        self.rig = rig
+        self.rig, self.cameras = rig, rig.cameras.keys()
         self.address = feed.name = f"fusion of {', '.join(rig.cameras)}"
         self.fusion = Fusion(rig)
         self._feed = feed
@@ -63,20 +62,13 @@ class FusedSource:
             raise OptionError(f"{feed.name}: camera {camera!r} is not in the rig, which has {known}")
         self.expect(feed)
         feed.fused = True
-
-        def handle(stamp: float, people: Sequence[Detection], acquired: float) -> None:
-            self._put(_Image(camera, feed, stamp, acquired, time.monotonic(), list(people)))
-
-        return handle
+        return lambda stamp, people, acquired: self._put(
+            _Image(camera, feed, stamp, acquired, time.monotonic(), list(people))
+        )
 
     def expect(self, feed: Feed) -> None:
         """Does not end before that feed has: images of a camera may come by it."""
         self._inputs.add(feed)
-
-    @property
-    def cameras(self) -> Collection[str]:
-        """Names of the rig's cameras."""
-        return self.rig.cameras
 
     def put(self, camera: str, feed: Feed, person: Detection | SkeletonFrame, acquired: float) -> None:
         """One of perhaps several persons in an image; see `Feed.put`. Never waits."""

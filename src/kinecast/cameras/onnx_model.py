@@ -32,7 +32,20 @@ class ImageModel:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._session = _session(path)
+        try:
+            if path.stat().st_size > LARGEST_FILE:
+                raise ModelError(f"{path}: {path.stat().st_size} bytes, at most {LARGEST_FILE} are read")
+            content = path.read_bytes()
+        except OSError as error:
+            raise ModelError(f"{path}: {error.strerror}") from None
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads, options.inter_op_num_threads = THREADS, 1
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # waiting must not starve predicting
+        options.log_severity_level = 4
+        try:
+            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime has no common class of its own
+            raise ModelError(f"{path}: onnxruntime cannot load it ({_line(error)})") from None
         inputs = self._session.get_inputs()
         if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
             found = ", ".join(f"{each.name} {each.type} {each.shape}" for each in inputs)[:200] or "nothing"
@@ -71,23 +84,6 @@ class ImageModel:
         if not all(isinstance(each, np.ndarray) and each.size <= LARGEST_OUTPUT for each in outputs):
             raise ModelError(f"{self.path}: gives more than {LARGEST_OUTPUT} numbers, or something else")
         return outputs
-
-
-def _session(path: Path) -> onnxruntime.InferenceSession:
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ModelError(f"{path}: {path.stat().st_size} bytes, at most {LARGEST_FILE} are read")
-        content = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{path}: {error.strerror}") from None
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = THREADS, 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # who waits must not starve who predicts
-    options.log_severity_level = 4
-    try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime has no common class of its own
-        raise ModelError(f"{path}: onnxruntime cannot load it ({_line(error)})") from None
 
 
 def _line(error: Exception) -> str:

@@ -29,8 +29,7 @@ MOST_PEOPLE = 4  # in one image: each costs a run of the network
 DETECT_EVERY = 10  # images from one look at the whole image to the next, while somebody is followed
 LEAST_SEEN = 4  # joints by which somebody is followed: an arm and a shoulder
 SAME = 0.3  # boxes that overlap by so much (intersection over union) are of one person
-MARGIN = 1.25
-"""A person's box around what was seen of them; the rest of the head and the hands are outside, and they move."""
+MARGIN = 1.25  # a person's box around what was seen of them: most of the head and the hands are outside, and they move
 
 
 class PersonDetector:
@@ -61,7 +60,13 @@ class PersonDetector:
             content = (content - IMAGENET_MEAN) / IMAGENET_STD
         outputs = self._model.run(content[..., ::-1])
         if self._plain:
-            boxes, scores = self._from_cells(outputs[0][0])
+            cells = outputs[0][0]
+            scores = cells[:, 4].astype(np.float64) * cells[:, 5 + PERSON]
+            few = np.argsort(-scores, kind="stable")[:MOST_BOXES]
+            cell, stride = cells[few].astype(np.float64), self._cells[few, 2:]
+            middle = (cell[:, :2] + self._cells[few, :2]) * stride
+            half = np.exp(np.clip(cell[:, 2:4], -20.0, 20.0)) * stride / 2
+            boxes, scores = np.hstack([middle - half, middle + half]), scores[few]
         else:  # a network that ends in non-maximum suppression
             found = outputs[0][0].astype(np.float64)
             if len(outputs) > 1 and outputs[1].size == len(found):
@@ -75,15 +80,6 @@ class PersonDetector:
             if not (overlaps(boxes[place], boxes[kept]) > MOST_OVERLAP).any():
                 kept.append(place)
         return boxes[kept]
-
-    def _from_cells(self, cells: Float[np.ndarray, "C K"]) -> tuple[Float[np.ndarray, "N 4"], Float[np.ndarray, " N"]]:
-        """Boxes in the network's pixels and scores of people, from YOLOX's cells."""
-        scores = cells[:, 4].astype(np.float64) * cells[:, 5 + PERSON]
-        few = np.argsort(-scores, kind="stable")[:MOST_BOXES]
-        cell, stride = cells[few].astype(np.float64), self._cells[few, 2:]
-        middle = (cell[:, :2] + self._cells[few, :2]) * stride
-        half = np.exp(np.clip(cell[:, 2:4], -20.0, 20.0)) * stride / 2
-        return np.hstack([middle - half, middle + half]), scores[few]
 
 
 def overlaps(box: Float[np.ndarray, " 4"], others: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:
@@ -115,9 +111,10 @@ class PeopleTracker:
         found = {name: self.estimator.estimate(image, box) for name, box in self._boxes.items()}
         self._boxes = {}
         for name, keypoints in found.items():  # the oldest first: a newer one in the same place is the same person
-            if keypoints.seen.sum() >= LEAST_SEEN:
-                box = keypoints.box
-                middle, half = (box[:2] + box[2:]) / 2, (box[2:] - box[:2]) / 2 * MARGIN
+            seen = keypoints.pixels[keypoints.seen]
+            if len(seen) >= LEAST_SEEN:
+                low, high = seen.min(axis=0), seen.max(axis=0)
+                middle, half = (low + high) / 2, (high - low) / 2 * MARGIN
                 box = np.concatenate([middle - half, middle + half])
                 if not (self._shared(box) >= 1 - SAME).any():
                     self._boxes[name] = box

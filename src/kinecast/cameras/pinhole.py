@@ -138,10 +138,7 @@ class PinholeCamera:
 
 
 def level_pose(height: float = 0.0, tilt: float = 0.0) -> Float[np.ndarray, "4 4"]:
-    """(4, 4) T_world_camera of a camera that is not calibrated: upright, in a world with x to its right and y ahead.
-
-    It stands so high above the world's origin [m], and looks down by the tilt [rad].
-    """
+    """(4, 4) T_world_camera, upright, x to its right and y ahead, so high above the origin [m]; tilt [rad] is down."""
     s, c = np.sin(tilt), np.cos(tilt)
     return transform(np.array([[1.0, 0.0, 0.0], [0.0, -s, c], [0.0, -c, -s]]), np.array([0.0, 0.0, height]))
 

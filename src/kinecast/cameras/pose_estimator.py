@@ -55,12 +55,6 @@ class Keypoints:
         """(J,) True where the confidence is enough."""
         return self.confidence >= LEAST_CONFIDENCE
 
-    @property
-    def box(self) -> Float[np.ndarray, " 4"]:
-        """Left, top, right, bottom of all that is seen [px]; at least one must be."""
-        seen = self.pixels[self.seen]
-        return np.concatenate([seen.min(axis=0), seen.max(axis=0)])
-
 
 class PoseEstimator:
     """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints, in an ONNX file, else a ModelError.
@@ -94,9 +88,16 @@ class PoseEstimator:
 
     def _peaks(self, outputs: list[np.ndarray]) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, " K"]]:
         """Where each keypoint is in the crop [px], and the height of its peak, 0..1."""
-        if len(outputs) == 1:
-            places, heights = _heatmap_peaks(outputs[0][0])
-            places = places * (self.model.width / outputs[0].shape[3], self.model.height / outputs[0].shape[2])
+        if len(outputs) == 1:  # heatmaps: the peak is moved a quarter towards the higher neighbour
+            maps = outputs[0][0]
+            _, height, width = maps.shape
+            flat, k = maps.reshape(len(maps), -1), np.arange(len(maps))
+            y, x = np.divmod(flat.argmax(axis=1), width)
+            around = np.pad(maps, ((0, 0), (1, 1), (1, 1)), mode="edge")
+            step_x = np.sign(around[k, y + 1, x + 2] - around[k, y + 1, x]) * ((x > 0) & (x < width - 1))
+            step_y = np.sign(around[k, y + 2, x + 1] - around[k, y, x + 1]) * ((y > 0) & (y < height - 1))
+            places = np.stack([x + 0.25 * step_x, y + 0.25 * step_y], axis=1)
+            places, heights = places * (self.model.width / width, self.model.height / height), flat.max(axis=1)
         else:
             both = [outputs[place][0] for place in self._order]
             places = np.stack([each.argmax(axis=1) for each in both], axis=1) / self._bins
@@ -117,15 +118,3 @@ class PoseEstimator:
                 return count
         found = ", ".join(f"{name} {shape}" for name, shape in zip(self.model.outputs, shapes, strict=True))
         raise ModelError(f"{self.model.path}: gives {found[:200]}; expected simcc_x and simcc_y, or heatmaps")
-
-
-def _heatmap_peaks(maps: Float[np.ndarray, "K h w"]) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, " K"]]:
-    """(K, 2) peaks in pixels of the maps, moved a quarter towards the higher neighbour, and (K,) their heights."""
-    count, height, width = maps.shape
-    flat = maps.reshape(count, -1)
-    top, k = flat.argmax(axis=1), np.arange(count)
-    y, x = np.divmod(top, width)
-    around = np.pad(maps, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    step_x = np.sign(around[k, y + 1, x + 2] - around[k, y + 1, x]) * ((x > 0) & (x < width - 1))
-    step_y = np.sign(around[k, y + 2, x + 1] - around[k, y, x + 1]) * ((y > 0) & (y < height - 1))
-    return np.stack([x + 0.25 * step_x, y + 0.25 * step_y], axis=1), flat[k, top]

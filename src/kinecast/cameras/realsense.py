@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -24,43 +24,28 @@ from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
 from kinecast.live.settings import number, whole_number
 
+try:
+    try:
+        import pyrealsense2 as rs
+    except ImportError as error:  # it needs a libusb, which a wheel can bring too
+        if "libusb" not in str(error):
+            raise
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+        import pyrealsense2 as rs
+except ModuleNotFoundError as error:
+    raise MissingExtraError("RealSense cameras", "camera") from error
+except (ImportError, OSError) as error:
+    raise OptionError(f"pyrealsense2 cannot be loaded: {error}") from None
+
+Colour = UInt8[np.ndarray, "h w 3"]
+Depth = UInt16[np.ndarray, "h w"]
 RECORDINGS = (".bag", ".db3")  # endings of recordings; librealsense wrote .bag before it wrote .db3
 SILENT = 5.0  # after so long without a frame [s] the camera is opened anew
 RETRY = 1.0  # before a camera that failed is opened anew [s]
 WAIT = 200  # longest wait for a frame before looking whether to end [ms]
 CLOSING = 5.0  # longest wait for the end [s]
-
-
-def _library() -> ModuleType:
-    """pyrealsense2, which needs a libusb that a wheel can bring too."""
-    try:
-        try:
-            import pyrealsense2
-        except ImportError as error:
-            if "libusb" not in str(error):
-                raise
-            import libusb_package
-
-            ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-            import pyrealsense2
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("RealSense cameras", "camera") from error
-    except (ImportError, OSError) as error:
-        raise OptionError(f"pyrealsense2 cannot be loaded: {error}") from None
-    return pyrealsense2
-
-
-rs = _library()
-"""pyrealsense2."""
-
-
-@dataclass(frozen=True)
-class CameraFrame:
-    """Colour and depth of one instant."""
-
-    stamp: float  # when it was taken [s], on the camera's clock
-    colour: UInt8[np.ndarray, "h w 3"]  # red, green, blue
-    depth: UInt16[np.ndarray, "h w"]  # by pixel of the colour image, in units; 0 where nothing was measured
 
 
 class RealSenseStream:
@@ -83,15 +68,27 @@ class RealSenseStream:
             self._config.enable_stream(rs.stream.depth, *size, rs.format.z16, rate)
             self._config.enable_stream(rs.stream.color, *size, rs.format.rgb8, rate)
         try:
-            self._read_profile()
+            profile = self._config.resolve(rs.pipeline_wrapper(rs.pipeline()))
+            sensor = profile.get_device().first_depth_sensor()
+            colour = profile.get_stream(rs.stream.color).as_video_stream_profile()
+            depth = profile.get_stream(rs.stream.depth).as_video_stream_profile()
+            self._format = colour.format()
+            if self._format not in (rs.format.rgb8, rs.format.bgr8):
+                raise RuntimeError(f"its colours are {self._format}, expected rgb8 or bgr8")
+            self.unit = float(sensor.get_depth_scale())
+            self.intrinsics = intrinsics_of(colour.get_intrinsics())
+            known = sensor.supports(rs.option.stereo_baseline)
+            baseline = float(sensor.get_option(rs.option.stereo_baseline)) / 1000 if known else 0.050
+            self.noise = stereo_noise(float(depth.get_intrinsics().fx), baseline)
         except RuntimeError as error:
             what = place or "RealSense camera"
             raise OptionError(f"{what}: librealsense finds no colour and depth ({error})") from None
 
-    def frames(self, stop: threading.Event) -> Iterator[CameraFrame]:
+    def frames(self, stop: threading.Event) -> Iterator[tuple[float, Colour, Depth]]:
         """Frames as they come, the newest first to be had; ends when told to, or with the recording.
 
-        A RuntimeError where the camera fails, or is silent for `SILENT`.
+        Their stamps [s] are on the camera's clock, their depths by pixel of the colour image (RGB), in units, 0 where
+        nothing was measured. A RuntimeError where the camera fails, or is silent for `SILENT`.
         """
         pipeline, align = rs.pipeline(), rs.align(rs.stream.color)
         device = pipeline.start(self._config).get_device()
@@ -106,27 +103,13 @@ class RealSenseStream:
                     if colour and depth:
                         pixels = np.asanyarray(colour.get_data())
                         rgb = pixels if self._format == rs.format.rgb8 else np.ascontiguousarray(pixels[..., ::-1])
-                        yield CameraFrame(colour.get_timestamp() / 1000, rgb, np.asanyarray(depth.get_data()))
+                        yield colour.get_timestamp() / 1000, rgb, np.asanyarray(depth.get_data())
                 elif self.recorded and device.as_playback().current_status() == rs.playback_status.stopped:
                     return
                 elif time.monotonic() - heard > SILENT:
                     raise RuntimeError(f"no picture for {SILENT:g} s")
         finally:
             pipeline.stop()
-
-    def _read_profile(self) -> None:
-        profile = self._config.resolve(rs.pipeline_wrapper(rs.pipeline()))
-        sensor = profile.get_device().first_depth_sensor()
-        colour = profile.get_stream(rs.stream.color).as_video_stream_profile()
-        depth = profile.get_stream(rs.stream.depth).as_video_stream_profile()
-        self._format = colour.format()
-        if self._format not in (rs.format.rgb8, rs.format.bgr8):
-            raise RuntimeError(f"its colours are {self._format}, expected rgb8 or bgr8")
-        self.unit = float(sensor.get_depth_scale())
-        self.intrinsics = intrinsics_of(colour.get_intrinsics())
-        known = sensor.supports(rs.option.stereo_baseline)
-        baseline = float(sensor.get_option(rs.option.stereo_baseline)) / 1000 if known else 0.050
-        self.noise = stereo_noise(float(depth.get_intrinsics().fx), baseline)
 
 
 def intrinsics_of(found: Any) -> Intrinsics:
@@ -164,14 +147,14 @@ class RealSenseOptions:
         """From the settings of a source, whose text is for messages; an OptionError out of range, or without model."""
         if not settings.get("model"):
             raise OptionError(f"{text}: model=FILE is needed, a pose estimator in ONNX (docs/cameras.md)")
-        width, _, height = settings.get("size", "848x480").partition("x")
-        if not (width.isdecimal() and height.isdecimal() and 0 < int(width) <= 4096 and 0 < int(height) <= 4096):
+        size = re.fullmatch(r"(\d{1,4})x(\d{1,4})", settings.get("size", "848x480"))
+        if size is None or not all(0 < int(side) <= 4096 for side in size.groups()):
             raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as 848x480")
         detector = settings.get("detector")
         return cls(
             Path(settings["model"]),
             Path(detector) if detector else None,
-            (int(width), int(height)),
+            (int(size[1]), int(size[2])),
             whole_number(settings, "rate", cls.rate, text, 1.0, 300.0),
             number(settings, "tilt", cls.tilt, text, -90.0, 90.0),
             number(settings, "height", cls.height, text, -10.0, 10.0),
@@ -191,8 +174,7 @@ class RealSenseSource:
         detector = None if options.detector is None else PersonDetector(options.detector)
         self._people = PeopleTracker(PoseEstimator(options.model), detector)
         self.stream = RealSenseStream(place, options.size, options.rate)
-        self.address = name
-        self.intrinsics = self.stream.intrinsics
+        self.address, self.intrinsics = name, self.stream.intrinsics
         self._camera = PinholeCamera(name, self.intrinsics, level_pose(options.height, float(np.radians(options.tilt))))
         self._feed = feed
         self._handler = handler or self._lift
@@ -212,8 +194,8 @@ class RealSenseSource:
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                for frame in self.stream.frames(self._stop):
-                    self._detect(frame, time.monotonic())
+                for stamp, colour, depth in self.stream.frames(self._stop):
+                    self._detect(stamp, colour, depth, time.monotonic())
             except Exception as problem:  # of librealsense, onnxruntime, the camera: none may end the others
                 self._feed.refuse(f"{type(problem).__name__}: {problem}")
             else:
@@ -222,16 +204,16 @@ class RealSenseSource:
                 break
         self._feed.end()
 
-    def _detect(self, frame: CameraFrame, arrived: float) -> None:
-        found = self._people.update(frame.colour)
-        depths = DepthImage(frame.depth, self.stream.unit, self.intrinsics.fx, self.stream.noise)
+    def _detect(self, stamp: float, colour: Colour, depth: Depth, arrived: float) -> None:
+        found = self._people.update(colour)
+        depths = DepthImage(depth, self.stream.unit, self.intrinsics.fx, self.stream.noise)
         joints = self._people.estimator.joints
-        people = [detection_of(frame.stamp, self.address, name, joints, each, depths) for name, each in found.items()]
+        people = [detection_of(stamp, self.address, name, joints, each, depths) for name, each in found.items()]
         jumps = self._clock.jumps
-        acquired = self._clock.acquired(frame.stamp, arrived)
+        acquired = self._clock.acquired(stamp, arrived)
         self._feed.clock_jumps += self._clock.jumps - jumps
         self._feed.difference = self._clock.difference
-        self._handler(frame.stamp, people, acquired)
+        self._handler(stamp, people, acquired)
 
     def _lift(self, _stamp: float, people: Sequence[Detection], acquired: float) -> None:
         for person in people:

@@ -51,7 +51,14 @@ class Rig:
 
     def to_yaml(self) -> str:
         """The text of a rig file; reading it gives the same rig."""
-        cameras = {name: _written(camera) for name, camera in self.cameras.items()}
+        cameras: dict[str, dict[str, object]] = {}
+        for name, camera in self.cameras.items():
+            i, T = camera.intrinsics, camera.T_world_camera
+            cameras[name] = {"size": [i.width, i.height], "focal": [i.fx, i.fy], "center": [i.cx, i.cy]}
+            if i.distortion:
+                cameras[name]["distortion"] = list(i.distortion)
+            cameras[name]["position"] = np.round(T[:3, 3], 6).tolist()
+            cameras[name]["quaternion"] = np.round(to_quaternion(T[:3, :3]), 9).tolist()
         return yaml.safe_dump({"frame_id": self.frame_id, "cameras": cameras}, sort_keys=False, default_flow_style=None)
 
 
@@ -75,15 +82,3 @@ def _camera(name: str, entry: Entry) -> PinholeCamera:
     intrinsics = Intrinsics(int(width), int(height), fx, fy, cx, cy, tuple(map(float, distortion)))
     rotation = from_quaternion(entry.vector("quaternion", 4, "w, x, y, z"))
     return PinholeCamera(name, intrinsics, transform(rotation, entry.vector("position", 3, "m")))
-
-
-def _written(camera: PinholeCamera) -> dict[str, object]:
-    i, T = camera.intrinsics, camera.T_world_camera
-    return {
-        "size": [i.width, i.height],
-        "focal": [i.fx, i.fy],
-        "center": [i.cx, i.cy],
-        **({"distortion": list(i.distortion)} if i.distortion else {}),
-        "position": np.round(T[:3, 3], 6).tolist(),
-        "quaternion": np.round(to_quaternion(T[:3, :3]), 9).tolist(),
-    }

@@ -19,8 +19,7 @@ from kinecast.errors import DatasetError, OptionError
 from kinecast.evaluation.output import write_atomically
 
 if TYPE_CHECKING:
-    from kinecast.cameras.calibration import Extrinsics
-    from kinecast.cameras.charuco import CharucoBoard, Corners
+    from kinecast.cameras.calibration import CharucoBoard, Corners, Extrinsics
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 MOST_PICTURES = 500
@@ -55,8 +54,10 @@ def calibrate(
         intrinsics: a rig file whose lenses are taken as they are; others are found from the pictures.
         board: writes a board to print, a PNG, and ends.
     """
-    from kinecast.cameras.calibration import find_extrinsics  # here, since OpenCV is an extra
-    from kinecast.cameras.charuco import CharucoBoard
+    from kinecast.cameras.calibration import (
+        CharucoBoard,
+        find_extrinsics,  # here, since OpenCV is an extra
+    )
 
     match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", squares)
     if match is None:

@@ -24,7 +24,6 @@ from kinecast.cameras.fused_source import FusedSource
 from kinecast.cameras.fusion.measurement import skin_depths
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.realsense import (
-    CameraFrame,
     RealSenseOptions,
     RealSenseSource,
     RealSenseStream,
@@ -404,7 +403,7 @@ def test_a_camera_that_fails_is_opened_anew(
     source = RealSenseSource("camera", feed, str(recording[0]), RealSenseOptions(blob_network(17)))
     stream, plugged = source.stream, iter((False, False, True))
 
-    def frames(stop: threading.Event) -> Iterator[CameraFrame]:
+    def frames(stop: threading.Event) -> Iterator[Any]:
         if not next(plugged):
             raise RuntimeError("no picture for 5 s")
         return RealSenseStream.frames(stream, stop)

@@ -1,1 +1,0 @@
-"""Several cameras into one skeleton for each person."""

@@ -13,21 +13,19 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from kinecast.cameras.fusion.bone_prior import ANCHOR_STD, anchors, share_too_far
-from kinecast.cameras.fusion.kalman import Flags, JointStates, Matrices, Points, back
+from kinecast.cameras.fusion.kalman import ANCHOR_STD, Flags, JointStates, Matrices, Points, back
 from kinecast.cameras.fusion.measurement import Measurement
 
 Used = Bool[np.ndarray, "V J 2"]
-PIXEL_LIMIT, DEPTH_LIMIT = 16.0, 12.0
-"""Squared errors in standard deviations, of two and of one number, beyond which something is simply wrong: 3 in 10 000
+Places = Float[np.ndarray, "*h J 3"]
+LIMITS = np.array([16.0, 12.0])
+"""Squared errors in standard deviations, of pixels and depths, beyond which something is simply wrong: 3 in 10 000
 and 5 in 10 000 of good ones are."""
-PAST_LIMIT = 30.0
-"""The same of the past. More than one image with depth together, so that it takes two images to overrule the past."""
+PAST_LIMIT = 30.0  # the same of the past: more than one image with depth, so that it takes two to overrule it
 IMPOSSIBLE = 80.0  # what it costs to be too far from all neighbours: more than the past and an image together
 MOST_PAIRED = 6  # images of which pairs are tried
 REFINEMENTS = 2
-WRONG_SHARE, WRONG_LEAST = 0.5, 3
-"""An image of which so many joints, and this share, disagree with all else is wrong as a whole."""
+WRONG_SHARE, WRONG_LEAST = 0.5, 3  # an image is wrong as a whole if that share, and so many joints, disagree
 GUESS = 3.0  # distance of a joint of which nothing tells it [m], for the noise of its pixels
 
 
@@ -50,9 +48,9 @@ class Consensus:
         self._drift = speed * (states.stamp - images.stamp)[:, None] ** 2  # (V, J) variance of `moved`
         self._past_information = np.zeros((len(known), 3, 3))
         self._past_information[known] = np.linalg.inv((states.covariance[:, :3, :3] + states.standing)[known])
-        self._anchors, self._anchored = anchors(states)
+        self._anchors, self._anchored = states.anchors()
         places = self._hypotheses()
-        best = np.argmin(self._cost(places) + IMPOSSIBLE * share_too_far(places, states), axis=0)
+        best = np.argmin(self._cost(places) + IMPOSSIBLE * states.share_too_far(places), axis=0)
         place = places[best, np.arange(len(known))]
         self.used, self.past = self._inliers(place)
         for _ in range(REFINEMENTS):
@@ -89,7 +87,11 @@ class Consensus:
         """Places to try: the past's, each image's by depth or near the body, each pair's, and all together's."""
         rows, seen = self._images.rows, self._images.seen
         single = np.where(seen.all(axis=2, keepdims=True), _solve(rows, self._values), np.nan)
-        guess = self._guess(single)
+        axis, found = self._images.axis, np.isfinite(single).all(axis=-1, keepdims=True)
+        ahead = ((GUESS - axis[:, 3:]) * axis[:, :3]).mean(axis=0)
+        middle = np.where(found, single, 0.0).sum(axis=0) / np.maximum(found.sum(axis=0), 1)
+        # somewhere near, to tell how far each camera is: the past, the middle of single images, or 3 m ahead
+        guess = np.where(self._known[:, None], self._here, np.where(found.any(axis=0), middle, ahead))
         weight = self._precision(guess)[:, :, :2]
         weighted = weight[..., None] * rows[:, :, :2]
         N = np.einsum("vjrx,vjry->vjxy", rows[:, :, :2], weighted) + 1e-3 * np.eye(3)
@@ -104,20 +106,11 @@ class Consensus:
         places.append(self._solved(seen, self._known, guess)[0][None])
         return np.concatenate(places)
 
-    def _guess(self, single: Float[np.ndarray, "V J 3"]) -> Points:
-        """Somewhere near, to tell how far each camera is: the past, the middle of single images, or 3 m ahead."""
-        axis = self._images.axis
-        ahead = ((GUESS - axis[:, 3:]) * axis[:, :3]).mean(axis=0)
-        found = np.isfinite(single).all(axis=-1, keepdims=True)
-        count = found.sum(axis=0)
-        middle = np.where(count > 0, np.where(found, single, 0.0).sum(axis=0) / np.maximum(count, 1), ahead)
-        return np.where(self._known[:, None], self._here, middle)
-
-    def _depths(self, places: Float[np.ndarray, "*h J 3"]) -> Float[np.ndarray, "*h V J"]:
+    def _depths(self, places: Places) -> Float[np.ndarray, "*h V J"]:
         axis = self._images.axis
         return np.einsum("vx,...jx->...vj", axis[:, :3], places) + axis[:, 3:]
 
-    def _precision(self, places: Float[np.ndarray, "*h J 3"]) -> Float[np.ndarray, "*h V J 3"]:
+    def _precision(self, places: Places) -> Float[np.ndarray, "*h V J 3"]:
         """(…, V, J, 3) 1/σ² of every row if the joints were at these places (…, J, 3)."""
         far = self._images.far * self._depths(places)[..., None]
         return 1 / (self._images.near**2 + far**2 + self._drift[..., None])
@@ -127,31 +120,28 @@ class Consensus:
         precision = np.nan_to_num(self._precision(place)) * used[..., [0, 0, 1]]
         return precision[..., None] * self._images.rows
 
-    def _cost(self, places: Float[np.ndarray, "H J 3"]) -> Float[np.ndarray, "H J"]:
-        """(H, J) sum of squared errors, each up to its limit; inf where there is no place."""
-        pixel, depth, past = self._errors(places)
-        seen = self._images.seen
-        images = np.minimum(pixel, PIXEL_LIMIT) * seen[..., 0] + np.minimum(depth, DEPTH_LIMIT) * seen[..., 1]
-        cost = images.sum(axis=1) + np.minimum(past, PAST_LIMIT) * self._known
+    def _cost(self, places: Places) -> Float[np.ndarray, "*h J"]:
+        """(…, J) sum of squared errors, each up to its limit; inf where there is no place."""
+        images, past = self._errors(places)
+        cost = (np.minimum(images, LIMITS) * self._images.seen).sum(axis=(-3, -1))
+        cost += np.minimum(past, PAST_LIMIT) * self._known
         return np.where(np.isfinite(places).all(axis=-1), cost, np.inf)
 
     def _inliers(self, place: Points) -> tuple[Used, Flags]:
         """What is within its limit of a place (J, 3)."""
-        pixel, depth, past = self._errors(place)
-        used = self._images.seen & np.stack([pixel < PIXEL_LIMIT, depth < DEPTH_LIMIT], axis=-1)
-        return used, self._known & (past < PAST_LIMIT)
+        images, past = self._errors(place)
+        return self._images.seen & (images < LIMITS), self._known & (past < PAST_LIMIT)
 
-    def _errors(
-        self, places: Float[np.ndarray, "*h J 3"]
-    ) -> tuple[Float[np.ndarray, "*h V J"], Float[np.ndarray, "*h V J"], Float[np.ndarray, "*h J"]]:
-        """Squared errors of pixels, depths and past, in standard deviations; inf of what is behind a camera."""
+    def _errors(self, places: Places) -> tuple[Float[np.ndarray, "*h V J 2"], Float[np.ndarray, "*h J"]]:
+        """Squared errors of pixels and depths, and of the past, in standard deviations; inf behind a camera."""
         off = np.einsum("vjrx,...jx->...vjr", self._images.rows, places) - self._values
         with np.errstate(invalid="ignore"):
             square = off * off * self._precision(places)
         square = np.where((self._depths(places) > 0)[..., None] & np.isfinite(square), square, np.inf)
         away = places - self._here
         past = np.einsum("...jx,jxy,...jy->...j", away, self._past_information, away)
-        return square[..., 0] + square[..., 1], square[..., 2], np.where(np.isfinite(past), past, np.inf)
+        images = np.stack([square[..., 0] + square[..., 1], square[..., 2]], axis=-1)
+        return images, np.where(np.isfinite(past), past, np.inf)
 
     def _solved(self, used: Used, past: Flags, place: Points) -> tuple[Points, Matrices]:
         """Weighted least squares over what is used: (J, 3) and its covariance; NaN where it does not suffice."""

@@ -23,10 +23,8 @@ from kinecast.types import SkeletonFrame
 ALIVE = 0.5  # a camera that was silent for so long [s] is not waited for
 OLDEST = 0.15  # an image so much older than the newest round [s] is not used: its people have moved too far
 ELSEWHERE = 20  # so many such images in a row, and time has been set back
-FORGET, FORGET_DOUBTFUL = 1.0, 0.2
-"""Nobody was seen for so long [s]: they have left; the same of somebody not seen often enough to be somebody."""
-ALONE, APART = 0.6, 0.25
-"""Least mean distance from every known person at which one camera, or several together, see a new one [m]."""
+FORGET, FORGET_DOUBTFUL = 1.0, 0.2  # who was not seen for so long [s] has left, who was not seen often sooner
+ALONE, APART = 0.6, 0.25  # least distance from everybody at which one camera, or several together, see a new one [m]
 DOUBLE = 0.12  # two persons nearer than this [m] are one
 MOST_PEOPLE = 16  # in one image, and known at once
 MOST_TRIALS = 12  # ways to put strangers together in one round
@@ -93,7 +91,11 @@ class Fusion:
             person.states.advance(self._stamp)
         strangers = self._recognise([[m for m in seen if m.stamp >= newest - OLDEST] for seen in images.values()])
         self._welcome(strangers)
-        self._drop_doubles()
+        kept: list[Person] = []  # of two who stand in one another, who was seen in fewer rounds is nobody
+        for person in sorted(self._people, key=lambda person: -person.rounds):
+            if all(person.apart(other) > DOUBLE for other in kept):
+                kept.append(person)
+        self._people = kept
         if self._stamp <= last:
             return []
         shown = [person for person in self._people if person.confirmed and person.seen_at == self._stamp]
@@ -158,14 +160,6 @@ class Fusion:
                 nobodies = [each for each in nobodies if each not in fitting]
         for each in nobodies:
             self.thrown_out[each.camera] += 1
-
-    def _drop_doubles(self) -> None:
-        """Of two who stand in one another, who was seen in fewer rounds is nobody."""
-        kept: list[Person] = []
-        for person in sorted(self._people, key=lambda person: -person.rounds):
-            if all(person.apart(other) > DOUBLE for other in kept):
-                kept.append(person)
-        self._people = kept
 
 
 def _fitting(measurements: list[Measurement], person: Person) -> list[Measurement]:

@@ -1,4 +1,7 @@
-"""A Kalman filter for each joint of one person: position, velocity and an acceleration that fades (Singer 1970)."""
+"""A Kalman filter for each joint of one person: position, velocity and an acceleration that fades (Singer 1970).
+
+Beside it how far joints can be from one another: enough to tell a hand from the wall behind it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from kinecast.body.skeleton import without_side
-from kinecast.cameras.fusion.measurement import FUSED_JOINTS
+from kinecast.cameras.fusion.measurement import FUSED_JOINTS, TRUNK
 
 Flags = Bool[np.ndarray, " J"]
 Points = Float[np.ndarray, "J 3"]
@@ -16,12 +19,48 @@ ACCELERATIONS = {"elbow": 2.0, "wrist": 3.0, "hand": 4.0}
 ACCELERATION = 1.0
 """Standard deviation of a joint's acceleration along each axis [m/s²]: two to three times what it is in recorded work,
 for the sake of a small lag (docs/decisions/0022)."""
-START_SPEED, START_ACCELERATION = 0.7, 3.0
-"""Standard deviation, along each axis, of a joint not seen before [m/s], [m/s²]: a person walks at 1.2 m/s."""
+START_SPEED, START_ACCELERATION = 0.7, 3.0  # standard deviations of a joint not seen before [m/s], [m/s²]
 UNSEEN, SLOWING = 0.1, 0.3  # a joint that nobody has seen for so long [s] loses its speed in so long [s]
 
 _VARIANCES = np.array([ACCELERATIONS.get(without_side(joint), ACCELERATION) ** 2 for joint in FUSED_JOINTS])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+_WITHIN_SIDE = {
+    ("shoulder", "elbow"): 0.42, ("elbow", "wrist"): 0.36, ("shoulder", "wrist"): 0.75, ("wrist", "hand"): 0.22,
+    ("elbow", "hand"): 0.55, ("shoulder", "hip"): 0.75, ("hip", "knee"): 0.60, ("knee", "ankle"): 0.60,
+    ("hip", "ankle"): 1.15,
+}  # fmt: skip
+"""Within one side of the body [m]: a tall man's (ANSUR II, 99th percentile) and a fifth more, since points are marker
+clusters and estimates, no joint centres."""
+_ACROSS = {"shoulder": 0.60, "hip": 0.50}
+_TO_TRUNK = {
+    "pelvis": {"shoulder": 0.80, "hip": 0.35}, "lumbar": {"shoulder": 0.65, "hip": 0.40},
+    "spine": {"shoulder": 0.60, "hip": 0.50}, "thorax": {"shoulder": 0.55, "hip": 0.55},
+    "chest": {"shoulder": 0.45, "hip": 0.65}, "collar": {"shoulder": 0.40, "hip": 0.80},
+    "neck": {"shoulder": 0.40, "hip": 0.85}, "head": {"shoulder": 0.55}, "nose": {"shoulder": 0.60},
+}  # fmt: skip
+_WITHIN_TRUNK = 1.0
+
+RECENT = 0.3  # a joint not seen for so long [s] says nothing of its neighbours
+ANCHOR_STD = 0.25  # how near a joint is to its neighbours [m]: about an upper arm's length
+
+
+def _longest() -> Float[np.ndarray, "J J"]:
+    """(J, J) longest distance of each two joints [m]; inf where there is none."""
+    sides = ("left", "right")
+    pairs = {(f"{side}_{a}", f"{side}_{b}"): far for (a, b), far in _WITHIN_SIDE.items() for side in sides}
+    pairs |= {(f"left_{joint}", f"right_{joint}"): far for joint, far in _ACROSS.items()}
+    pairs |= {(a, b): _WITHIN_TRUNK for k, a in enumerate(TRUNK) for b in TRUNK[:k]}
+    pairs |= {(a, f"{side}_{b}"): far for a, near in _TO_TRUNK.items() for b, far in near.items() for side in sides}
+    longest = np.full((len(FUSED_JOINTS), len(FUSED_JOINTS)), np.inf)
+    for (a, b), far in pairs.items():
+        i, j = FUSED_JOINTS.index(a), FUSED_JOINTS.index(b)
+        longest[i, j] = longest[j, i] = far
+    return longest
+
+
+_LONGEST = _longest()
 
 
 def _response(times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "3 N"]:
@@ -91,8 +130,8 @@ class JointStates:
     ) -> None:
         """One weighted least squares over what is known of each joint and all that several images say of it.
 
-        They were taken at stamps (V,), now or earlier [s], and give AᵀWA (V, J, 3, 3), about where the joint was then,
-        zero where nothing is said, and AᵀW(b − A p) (V, J, 3), with p as `at` gives it.
+        They were taken at stamps (V,) [s] and give AᵀWA (V, J, 3, 3) about where the joint was then, zero where nothing
+        is said, and AᵀW(b − A p) (V, J, 3), with p as `at` gives it.
         """
         told = information.any(axis=(0, 2, 3)) & self.known
         if not told.any():
@@ -111,3 +150,17 @@ class JointStates:
         self.mean[joints, 0] = positions[joints]
         self.covariance[joints] = np.diag(np.repeat([0.0, START_SPEED**2, START_ACCELERATION**2], 3))
         self.covariance[joints, :3, :3] = covariance[joints]
+
+    def share_too_far(self, places: Float[np.ndarray, "*h J 3"]) -> Float[np.ndarray, "*h J"]:
+        """(…, J) share of its neighbours that a joint at a place (…, J, 3) would be too far from; 0 without any."""
+        told = np.isfinite(_LONGEST) & self.seen_within(RECENT)
+        with np.errstate(invalid="ignore"):
+            away = np.linalg.norm(places[..., :, None, :] - self.mean[:, 0], axis=-1)
+            return ((away > _LONGEST) & told).sum(axis=-1) / np.maximum(told.sum(axis=-1), 1)
+
+    def anchors(self) -> tuple[Points, Flags]:
+        """(J, 3) the middle of each joint's neighbours, nearer ones first, and whether there is one."""
+        weight = np.where(self.seen_within(RECENT), _LONGEST**-4.0, 0.0)
+        there = np.where(self.known[:, None], self.mean[:, 0], 0.0)
+        total = weight.sum(axis=1)
+        return weight @ there / np.maximum(total, 1e-9)[:, None], total > 0

@@ -30,18 +30,15 @@ SKIN_STD = 0.015  # by how much that varies with the person, clothes and the sid
 
 TRUNK = ("pelvis", "lumbar", "spine", "thorax", "chest", "collar", "neck", "head", "nose")
 _LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle")
-FUSED_JOINTS = (*(f"{side}_{name}" for side in ("left", "right") for name in _LIMBS), *TRUNK)
-"""Joints that are fused; others of a view are left out."""
+FUSED_JOINTS = (*(f"{side}_{name}" for side in ("left", "right") for name in _LIMBS), *TRUNK)  # others are left out
 
-PLACE_STD = 0.005
-ANGLE_STD = 1.7e-3
+PLACE_STD, ANGLE_STD = 0.005, 1.7e-3
 """How well a camera's place [m] and direction [rad] are known: `kinecast calibrate` by hand, docs/decisions/0022."""
 LEAST_PIXEL_STD = 0.5
 NEAR, FAR = 0.1, 20.0  # depths that are believed [m]
 DEEP = 0.9  # no joint is so much nearer or farther than most of the person [m]: what is read there is something else
 LEAST_STD = 0.002  # of a position that a tracker gives [m]
-TRACKER_STD = 0.02
-"""Of one whose tracker does not say: Azure Kinect's joints against Vicon, Tölgyessy et al. 2021, in still arms."""
+TRACKER_STD = 0.02  # of one whose tracker does not say: Azure Kinect's against Vicon, Tölgyessy et al. 2021, still arms
 STEREO_STD = 0.0024
 """Standard deviation of a depth, by its square [1/m]: 0.08 px / (674 px · 50 mm), a RealSense D435 at 1280 px."""
 
@@ -91,9 +88,10 @@ def of_detection(camera: PinholeCamera, person: Detection, stamp: float) -> Meas
         if len(believed := depth[np.isfinite(depth)]):
             depth[np.abs(depth - np.median(believed)) > DEEP] = np.nan
         depth_std = np.where((depth_std > 0) & (depth_std < FAR), depth_std, STEREO_STD * depth**2)
-        told = (pixel_std > 0) & (pixel_std < i.width)
-        pixel_std = np.where(told, pixel_std, _pixel_std(pixels))
-        # A joint of confidence c is taken to be 1/c times as far off as its detection says.
+        shown = pixels[np.isfinite(pixels).all(axis=1)]
+        guess = max(2.0, 0.02 * np.ptp(shown, axis=0).max()) if len(shown) else 2.0  # 2 % of the larger side, and 2 px
+        pixel_std = np.where((pixel_std > 0) & (pixel_std < i.width), pixel_std, guess)
+        # a joint of confidence c is taken to be 1/c times as far off as its detection says
         pixel_std = np.maximum(pixel_std, LEAST_PIXEL_STD) / np.clip(confidence, LEAST_CONFIDENCE, 1)
     directions = i.directions(pixels)
     seen = np.isfinite(directions).all(axis=1)
@@ -133,9 +131,3 @@ def _shared(joints: tuple[str, ...]) -> tuple[list[int], list[int]]:
     """Columns of a source and of the result, of the joints that both have."""
     shared = [(column, _COLUMNS[joint]) for column, joint in enumerate(joints) if joint in _COLUMNS]
     return [source for source, _ in shared], [target for _, target in shared]
-
-
-def _pixel_std(pixels: Float[np.ndarray, "J 2"]) -> float:
-    """Where a source does not say: 2 % of the larger side of the box around the joints, at least 2 px."""
-    shown = pixels[np.isfinite(pixels).all(axis=1)]
-    return max(2.0, 0.02 * float(np.ptp(shown, axis=0).max())) if len(shown) else 2.0

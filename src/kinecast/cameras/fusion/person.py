@@ -7,19 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.cameras.fusion.bone_prior import ANCHOR_STD, anchors, share_too_far
-from kinecast.cameras.fusion.consensus import DEPTH_LIMIT, PIXEL_LIMIT, Consensus
-from kinecast.cameras.fusion.kalman import Flags, JointStates
+from kinecast.cameras.fusion.consensus import LIMITS, Consensus
+from kinecast.cameras.fusion.kalman import ANCHOR_STD, Flags, JointStates
 from kinecast.cameras.fusion.measurement import FUSED_JOINTS, Measurement, stacked
 from kinecast.types import SkeletonFrame
 
 PATIENCE = 10  # after so many rounds in which images contradict the past, and nothing supports it, it is given up
-STANDING = 0.8
-"""Share of the variance of what images say that is the same in the next image: a pose estimator's errors stay."""
+STANDING = 0.8  # share of the variance of what images say that stays in the next: a pose estimator's errors do
 MOST_BEYOND = 0.5  # a joint too far from more than this share of its neighbours is something else
 LOOSE = 0.2  # uncertainty from which a joint is held near the body [m]
-SHOWN = 0.15
-"""A joint that nobody has seen for so long [s] is no longer given: the predictor then knows that it is hidden."""
+SHOWN = 0.15  # a joint that nobody has seen for so long [s] is not given: the predictor knows that it is hidden
 CONFIRMED = 3  # rounds in which somebody is seen before they count as somebody
 LEAST_SHARED = 3  # joints that must be seen and known for a comparison
 
@@ -69,12 +66,12 @@ class Person:
             self.rounds += 1
             states.standing[touched & located] = STANDING * consensus.covariance[touched & located]
             self._hold(touched & ~consensus.located)
-            states.forget(share_too_far(states.mean[:, 0], states) > MOST_BEYOND)
+            states.forget(states.share_too_far(states.mean[:, 0]) > MOST_BEYOND)
         return left_out
 
     def _hold(self, joints: Flags) -> None:
         """Keeps joints near the body that one pixel alone was seen of: nothing else says how far they are."""
-        middle, anchored = anchors(self.states)
+        middle, anchored = self.states.anchors()
         loose = np.sqrt(np.trace(self.states.covariance[:, :3, :3], axis1=1, axis2=2)) > LOOSE
         held = (joints & anchored & loose)[:, None]
         off = np.where(held, middle - self.states.mean[:, 0], 0.0) / ANCHOR_STD**2
@@ -96,9 +93,9 @@ class Person:
         noise = measurement.near[both] ** 2 + (measurement.far[both] * z[:, None]) ** 2
         square = off * off / (noise + np.einsum("jrx,jxy,jry->jr", rows, covariance[both], rows))
         square[(z <= 0)[:, None] | ~np.isfinite(square)] = np.inf
-        pixel = np.minimum(square[:, 0] + square[:, 1], PIXEL_LIMIT).sum()
-        depth = np.minimum(square[:, 2], DEPTH_LIMIT)[deep].sum()
-        return float((pixel + depth) / (PIXEL_LIMIT * len(z) + DEPTH_LIMIT * deep.sum()))
+        pixel = np.minimum(square[:, 0] + square[:, 1], LIMITS[0]).sum()
+        depth = np.minimum(square[:, 2], LIMITS[1])[deep].sum()
+        return float((pixel + depth) / (LIMITS @ (len(z), deep.sum())))
 
     def apart(self, other: Person) -> float:
         """Median distance between this person's joints and another's [m]; inf where they share none."""
