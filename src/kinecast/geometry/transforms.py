@@ -121,4 +121,4 @@ def from_y_up(points: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shap
 
 def lengths(vectors: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b"]:
     """Euclidean norms; quicker than NumPy's own for arrays so small."""
-    return np.sqrt(np.einsum("...d,...d->...", vectors, vectors))
+    return np.asarray(np.sqrt(np.einsum("...d,...d->...", vectors, vectors)))

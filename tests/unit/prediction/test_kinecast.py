@@ -17,6 +17,7 @@ from kinecast.prediction.kinecast.model import Kinecast, ablations, kinecast_fro
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 from kinecast.prediction.kinecast.weights import HALF_LIVES, LEADS, LONG_RUN, fallback_weights
 from kinecast.prediction.method import forecast_in_scene
+from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.tasks.workers import Progress, Serial
 
@@ -28,6 +29,11 @@ def fit_kinecast(windows: TrainingWindows, options: KinecastOptions, progress: P
     workers = Serial()
     fitted = fitting_kinecast(workers, windows, windows, JointLimits(), NOISE, options)
     return workers.results([fitted], progress)[0]
+
+
+def card(method: Kinecast) -> ModelCard:
+    assert method.limits is not None
+    return ModelCard("kinecast", method.frames, method.steps, 1.0 / method.dt, limits=method.limits, noise=NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +56,7 @@ class TestTraining:
         assert told == [(done, told[-1][1]) for done in range(1, told[-1][1] + 1)]
 
     def test_it_is_the_same_from_its_arrays(self, method: Kinecast, observation: Observation) -> None:
-        again = kinecast_from_arrays(method.to_arrays(), method.frames, method.steps, method.dt, NOISE, method.limits)
+        again = kinecast_from_arrays(method.to_arrays(), card(method))
         one, other = (
             forecast_in_scene(each, each.init_state(), observation, np.random.default_rng(3), 50, None)
             for each in (method, again)
@@ -60,7 +66,7 @@ class TestTraining:
 
     def test_a_model_of_other_steps_is_refused(self, method: Kinecast) -> None:
         with pytest.raises(ValueError, match="steps"):
-            kinecast_from_arrays(method.to_arrays(), method.frames, method.steps + 1, method.dt, NOISE, None)
+            kinecast_from_arrays(method.to_arrays(), replace(card(method), steps=method.steps + 1))
 
 
 class TestForecast:
