@@ -15,8 +15,6 @@ from kinecast.geometry.scene import Scene
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 
-__all__ = ["ConstraintFactor"]
-
 LEAST = 1e-12
 """Least probability of being allowed: keeps logarithms finite."""
 STRAIGHT = np.radians(2.0)
@@ -71,23 +69,20 @@ class ConstraintFactor:
             else:
                 log_p += np.where(clearance >= 0, 0.0, -np.inf)
         if self.limits is not None:
-            log_p += self._log_inside(poses)
+            log_p += self._log_inside(poses, self.limits)
         return log_p
 
-    def _boxes(self, steps: int) -> tuple[Float[np.ndarray, "T 8"], Float[np.ndarray, "T 8"]]:
-        """(T, 8) lower and upper ends of the angles after 1 … T steps; never empty."""
-        assert self.limits is not None
-        lower, upper, speed = (values[list(ANGLES)] for values in self.limits.of_posture())
-        last = self.observation.posture[list(ANGLES)]
-        reach = speed * self.observation.dt * np.arange(1, steps + 1)[:, None]
-        return np.maximum(np.minimum(lower, last), last - reach), np.minimum(np.maximum(upper, last), last + reach)
-
-    def _log_inside(self, poses: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T"]:
+    def _log_inside(self, poses: Float[np.ndarray, "*b T 6 3"], limits: JointLimits) -> Float[np.ndarray, "*b T"]:
         from scipy.special import ndtr
 
         start = np.broadcast_to(self.observation.posture, (*poses.shape[:-3], 18))
         postures = postures_from_points(poses, start, continuous=False)
-        lower, upper = self._boxes(poses.shape[-3])
+        lower, upper, speed, last = (x[list(ANGLES)] for x in (*limits.of_posture(), self.observation.posture))
+        reach = speed * self.observation.dt * np.arange(1, poses.shape[-3] + 1)[:, None]
+        lower, upper = (
+            np.maximum(np.minimum(lower, last), last - reach),
+            np.minimum(np.maximum(upper, last), last + reach),
+        )
         log_p = np.zeros(poses.shape[:-2])
         for arm, at in enumerate((6, 12)):
             theta = postures[..., at : at + 4]

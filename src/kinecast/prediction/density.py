@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,8 +24,6 @@ from kinecast.body.posture import TURN, coordinates_from_postures, postures_from
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.constraint import ConstraintFactor
 from kinecast.prediction.observation import Observation
-
-__all__ = ["BLOCKS", "JOINT_ORDER", "BlockDensity", "GaussianMixture", "PoseDensity", "block_log_det"]
 
 FAULT_PROBABILITY = 0.01
 """ε: share of blocks that are a tracker's fault."""
@@ -41,13 +39,15 @@ TURNING = (3, 6, 7, 12, 13)
 """Posture coordinates that are angles: yaw, flexion and abduction of each arm."""
 
 
+Poses: TypeAlias = Float[np.ndarray, "T 6 3"]
+Blocks: TypeAlias = tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C T 3"]]
+
+
 @runtime_checkable
 class BlockDensity(Protocol):
     """The density of each block of a pose in each component of a mixture, before constraints and faults."""
 
-    def log_blocks(
-        self, poses: Float[np.ndarray, "T 6 3"]
-    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C T 3"]]:
+    def log_blocks(self, poses: Poses) -> Blocks:
         """(C,) log weights of the components and (C, T, 3) log f_bc of torso-frame poses [nats]."""
         ...
 
@@ -64,7 +64,7 @@ class PoseDensity:
     """
 
     observation: Observation
-    centre: Float[np.ndarray, "T 6 3"]
+    centre: Poses
     blocks: BlockDensity
     constraint: ConstraintFactor | None = None
 
@@ -72,7 +72,7 @@ class PoseDensity:
         """The same, zero inside obstacles; as it is where nothing binds."""
         return self if self.constraint is None else replace(self, constraint=replace(self.constraint, scene=scene))
 
-    def log_prob(self, positions: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+    def log_prob(self, positions: Poses) -> Float[np.ndarray, " T"]:
         """(T,) log density [nats per m^18]; NaN where a joint is NaN."""
         known = np.isfinite(positions).all(axis=(1, 2))
         poses = self.observation.to_torso(np.where(known[:, None, None], positions, self.observation.positions[-1]))
@@ -85,13 +85,7 @@ class PoseDensity:
 def with_faults(
     inlier: Float[np.ndarray, "C T 3"], fault: Float[np.ndarray, "T 3"], allowed: Float[np.ndarray, " T"] | float = 0.0
 ) -> Float[np.ndarray, "C T"]:
-    """(C, T) log g: every way in which blocks may be faulty, the faultless way weighted by what is allowed.
-
-    Args:
-        inlier: (C, T, 3) log f_bc.
-        fault: (T, 3) log h_b.
-        allowed: (T,) log [P(allowed | x) / P(allowed)].
-    """
+    """(C, T) log g: every way in which blocks may be faulty, the faultless way weighted by what is allowed."""
     a, b, c = np.moveaxis(np.log1p(-FAULT_PROBABILITY) + inlier, -1, 0)
     u, v, w = np.moveaxis(np.log(FAULT_PROBABILITY) + fault, -1, 0)
     # Π(f + h), parted by where the first fault is: in no block, in the first, in the second, in the last.
@@ -100,7 +94,7 @@ def with_faults(
     return np.asarray(np.logaddexp.reduce(ways, axis=0))
 
 
-def log_fault(poses: Float[np.ndarray, "T 6 3"], centre: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, "T 3"]:
+def log_fault(poses: Poses, centre: Poses) -> Float[np.ndarray, "T 3"]:
     """(T, 3) log h_b: each block spread broadly about its prediction."""
     square = ((poses - centre) ** 2).sum(axis=-1) / FAULT_SPREAD**2
     joint = -0.5 * square - 1.5 * np.log(2 * np.pi * FAULT_SPREAD**2)
@@ -134,11 +128,22 @@ class GaussianMixture:
     posture: bool = False
     floor: float = 0.0
 
-    def log_blocks(
-        self, poses: Float[np.ndarray, "T 6 3"]
-    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C T 3"]]:
+    @staticmethod
+    def of_positions(
+        mean: Float[np.ndarray, "C T 6 3"], factor: Float[np.ndarray, "K T 6 3 R"], *more: Any, **others: Any
+    ) -> GaussianMixture:
+        """The mixture over positions in the order of the skeleton; the rest as above."""
+        mean, factor = mean[:, :, JOINT_ORDER], factor[:, :, JOINT_ORDER]
+        return GaussianMixture(
+            mean.reshape(*mean.shape[:2], 18), factor.reshape(*factor.shape[:2], 18, -1), *more, **others
+        )
+
+    def log_blocks(self, poses: Poses) -> Blocks:
         """See BlockDensity; a component for each mean and scale."""
-        error, log_volume = self._from_postures(poses) if self.posture else self._from_positions(poses)
+        if self.posture:
+            error, log_volume = self._from_postures(poses)
+        else:
+            error, log_volume = poses[:, JOINT_ORDER].reshape(-1, 18) - self.mean, np.zeros((len(poses), 3))
         white = np.linalg.solve(self._cholesky[self.kind], error[..., None])[..., 0]
         square = (white**2).reshape(*white.shape[:2], 3, 6).sum(axis=-1)
         scales = self.scales[:, None, None, None]
@@ -157,12 +162,7 @@ class GaussianMixture:
         diagonal = np.log(np.diagonal(self._cholesky, axis1=2, axis2=3))
         return diagonal.reshape(*diagonal.shape[:2], 3, 6).sum(axis=-1)
 
-    def _from_positions(self, poses: Float[np.ndarray, "T 6 3"]) -> tuple[Float[np.ndarray, "C T 18"], float]:
-        return poses[:, JOINT_ORDER].reshape(-1, 18) - self.mean, 0.0
-
-    def _from_postures(
-        self, poses: Float[np.ndarray, "T 6 3"]
-    ) -> tuple[Float[np.ndarray, "C T 18"], Float[np.ndarray, "T 3"]]:
+    def _from_postures(self, poses: Poses) -> tuple[Float[np.ndarray, "C T 18"], Float[np.ndarray, "T 3"]]:
         # Only the way of writing the pose that is nearest to the mean counts: the others lie half a turn away.
         nearby = postures_from_coordinates(self.mean[0])
         postures = postures_from_points(poses[:, None], nearby, continuous=False)[:, 0]

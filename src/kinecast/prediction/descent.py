@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from functools import cache
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from kinecast.errors import MissingExtraError
-
-__all__ = ["descend", "jax_in_one_thread"]
 
 FIRST = 0.9
 WARM_UP = 50
@@ -30,21 +27,13 @@ def jax_in_one_thread() -> ModuleType:
         import jax
     except ImportError as error:
         raise MissingExtraError("training", "train") from error
-    _start(jax)
-    return jax
-
-
-@cache
-def _start(jax: ModuleType) -> None:
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = "1"  # read once, by XLA, when its CPU backend starts
-    try:
-        jax.local_devices(backend="cpu")
-    finally:
-        if before is None:
-            del os.environ["NPROC"]
-        else:
-            os.environ["NPROC"] = before
+    jax.local_devices(backend="cpu")
+    del os.environ["NPROC"]
+    if before is not None:
+        os.environ["NPROC"] = before
+    return jax
 
 
 def descend(
@@ -65,15 +54,10 @@ def descend(
         loss: (parameters, rows of the data, random key) to a number.
         start: parameters to start from.
         data: arrays with the examples along the first axis.
-        steps: of descent.
-        batch: rows per step.
-        rate: greatest step size.
+        steps, batch, rate: number of steps, rows in each, greatest step size.
         decay: of the parameters, decoupled from the gradient.
         second: forgetting of the squared gradient.
         seed: of batches and keys.
-
-    Raises:
-        MissingExtraError: JAX is not installed.
     """
     jax = jax_in_one_thread()
     import jax.numpy as jnp

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,31 +20,22 @@ from kinecast.body.posture import (
     postures_from_coordinates,
     postures_from_points,
 )
+from kinecast.errors import ModelError
 from kinecast.prediction.constraint import ConstraintFactor
-from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
+from kinecast.prediction.density import GaussianMixture, PoseDensity
 from kinecast.prediction.linear import MeanModel, mean_from_arrays
 from kinecast.prediction.method import Forecast, Memoryless
-from kinecast.prediction.model_file import ModelCard, covariance_factor
+from kinecast.prediction.model_file import ModelCard, shaped
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
-from kinecast.prediction.rollout import roll_gaussian
+from kinecast.prediction.rollout import hold
 from kinecast.prediction.sampling import sample_motions
 from kinecast.tasks import Serial, Workers
 
-__all__ = [
-    "Examples",
-    "Fit",
-    "PositionGaussian",
-    "PostureGaussian",
-    "position_examples",
-    "posture_examples",
-    "residual_factor",
-    "residual_moment",
-]
-
 G = TypeVar("G", bound="_Gaussian")
+Square: TypeAlias = Float[np.ndarray, "K K"]
 
-Fit = Callable[[Float[np.ndarray, "W N D"], Float[np.ndarray, "W T D"], Int[np.ndarray, " W"]], MeanModel]
+Fit: TypeAlias = Callable[[Float[np.ndarray, "W N D"], Float[np.ndarray, "W T D"], Int[np.ndarray, " W"]], MeanModel]
 """Fits a mean model to windows, futures and folds."""
 
 FLOOR = 1e-3
@@ -74,16 +65,16 @@ def posture_examples(windows: TrainingWindows) -> Examples:
     return Examples(coordinates[:, :frames], coordinates[:, frames:], windows.folds(FOLDS))
 
 
-def residual_moment(fit: Fit, examples: Examples, fold: int) -> tuple[Float[np.ndarray, "K K"], int]:
+def residual_moment(fit: Fit, examples: Examples, fold: int) -> tuple[Square, int]:
     """Sum of the outer products of the errors on one left-out fold, and how many there are."""
     outside = examples.folds == fold
     inside = ~outside if (~outside).any() else outside
-    model = fit(examples.observed[inside], examples.future[inside], examples.folds[inside])
+    model = fit(*(each[inside] for each in examples))
     errors = (examples.future[outside] - model.mean(examples.observed[outside])).reshape(outside.sum(), -1)
     return errors.T @ errors, len(errors)
 
 
-def residual_factor(moments: Sequence[tuple[Float[np.ndarray, "K K"], int]]) -> Float[np.ndarray, "K K"]:
+def residual_factor(moments: Sequence[tuple[Square, int]]) -> Square:
     """Cholesky factor of the second moment of all folds' errors, over all steps and coordinates at once."""
     moment = np.sum([moment for moment, _ in moments], axis=0) / sum(count for _, count in moments)
     return np.linalg.cholesky(moment + FLOOR**2 * np.eye(len(moment)))
@@ -93,18 +84,12 @@ def _fit_all(fit: Fit, examples: Examples) -> MeanModel:
     return fit(*examples)
 
 
-def with_noise(cholesky: Float[np.ndarray, "K K"], noise: Float[np.ndarray, " D"]) -> Float[np.ndarray, "K K"]:
-    """Factor of the covariance once the last frame's error, the same at every step, is added.
-
-    Args:
-        cholesky: (T·D, T·D) lower factor, steps outermost.
-        noise: (D,) spread of that error.
-    """
+def with_noise(cholesky: Square, noise: Float[np.ndarray, " D"]) -> Square:
+    """Factor of the covariance (steps outermost) once the last frame's error, the same at every step, is added."""
     if not noise.any():
         return cholesky
     steps = len(cholesky) // len(noise)
-    shared = np.kron(np.ones((steps, steps)), np.diag(noise**2))
-    return np.linalg.cholesky(cholesky @ cholesky.T + shared)
+    return np.linalg.cholesky(cholesky @ cholesky.T + np.kron(np.ones((steps, steps)), np.diag(noise**2)))
 
 
 @dataclass(frozen=True)
@@ -122,9 +107,11 @@ class _Gaussian(Memoryless):
     steps: int
     dt: float
     mean_model: MeanModel
-    cholesky: Float[np.ndarray, "K K"]
+    cholesky: Square
     noise: float = 0.0
     limits: JointLimits | None = None
+
+    examples = staticmethod(position_examples)
 
     @classmethod
     def fit(
@@ -132,9 +119,8 @@ class _Gaussian(Memoryless):
     ) -> G:
         """Mean model and residual covariance from training windows."""
         workers = Serial()
-        examples = workers.submit(cls.examples, windows)
-        [method] = workers.results([cls.fitting(workers, fit, windows, examples, noise)])
-        return replace(method, limits=limits)
+        fitting = cls.fitting(workers, fit, windows, workers.submit(cls.examples, windows), noise)
+        return replace(workers.results([fitting])[0], limits=limits)
 
     @classmethod
     def fitting(cls, workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any, noise: float) -> Any:
@@ -143,11 +129,6 @@ class _Gaussian(Memoryless):
         moments = [workers.submit(residual_moment, fit, examples, fold) for fold in folds]
         model, cholesky = workers.submit(_fit_all, fit, examples), workers.submit(residual_factor, moments)
         return workers.submit(cls, *windows.shape, model, cholesky, noise)
-
-    @staticmethod
-    def examples(windows: TrainingWindows) -> Examples:
-        """The coordinates of training windows."""
-        raise NotImplementedError
 
     def with_limits(self: G, limits: JointLimits | None) -> G:
         """The same Gaussian, constrained or free."""
@@ -161,35 +142,28 @@ class _Gaussian(Memoryless):
     def from_arrays(cls: type[G], arrays: Mapping[str, np.ndarray], card: ModelCard) -> G:
         """The method that `to_arrays` described, without limits."""
         model = mean_from_arrays(arrays, card.frames, card.steps, 18)
-        cholesky = covariance_factor(arrays, "cholesky", 18 * card.steps)
+        cholesky = shaped(arrays, "cholesky", 18 * card.steps, 18 * card.steps)
+        if np.triu(cholesky, 1).any() or not (np.diag(cholesky) > 0).all():
+            raise ModelError("array cholesky is no lower triangle with a positive diagonal")
         return cls(card.frames, card.steps, card.dt, model, cholesky, card.noise)
+
+    def _constraint(self, observation: Observation, draws: Callable[[], np.ndarray]) -> ConstraintFactor | None:
+        return None if self.limits is None else ConstraintFactor(draws, observation, self.limits, self.noise)
 
 
 @dataclass(frozen=True)
 class PositionGaussian(_Gaussian):
     """A Gaussian over the joints' positions in the torso frame, free or held inside joint limits and scene."""
 
-    examples = staticmethod(position_examples)
-
     def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         """See kinecast.prediction.method.Method."""
         mean = self.mean_model.mean(observation.points.reshape(1, self.frames, 18))[0].reshape(self.steps, 6, 3)
         factor = with_noise(self.cholesky, np.repeat(observation.noise, 3)).reshape(self.steps, 6, 3, -1)
         draws = rng.standard_normal((factor.shape[-1], samples))
-        constraint = None
-        if self.limits is not None:
-            constraint = ConstraintFactor(
-                lambda: mean + np.tensordot(draws, factor, axes=(0, 3)), observation, self.limits, self.noise
-            )
-        blocks = GaussianMixture(
-            mean[None, :, JOINT_ORDER].reshape(1, -1, 18), factor[None, :, JOINT_ORDER].reshape(1, self.steps, 18, -1)
-        )
-        return Forecast(
-            sample_motions(observation, mean, factor, draws, rng, self.limits),
-            observation.to_world(mean),
-            PoseDensity(observation, mean, blocks, constraint),
-            self.limits is not None,
-        )
+        constraint = self._constraint(observation, lambda: mean + np.tensordot(draws, factor, axes=(0, 3)))
+        motions = sample_motions(observation, mean, factor, draws, rng, self.limits)
+        density = PoseDensity(observation, mean, GaussianMixture.of_positions(mean[None], factor[None]), constraint)
+        return Forecast(motions, observation.to_world(mean), density, self.limits is not None)
 
 
 @dataclass(frozen=True)
@@ -203,18 +177,12 @@ class PostureGaussian(_Gaussian):
         track = postures_from_points(observation.points, continuous=True)
         mean = self.mean_model.mean(coordinates_from_postures(track)[None])[0]
         cholesky = with_noise(self.cholesky, coordinate_noise(track[-1], observation.noise))
-        draws = rng.standard_normal((samples, len(cholesky)))
-        uniforms = rng.random((samples, self.steps, 8))
-        postures = roll_gaussian(mean, cholesky, track[-1], draws, uniforms, posture_bounds(self.limits), self.dt)
+        drawn = mean + (rng.standard_normal((samples, len(cholesky))) @ cholesky.T).reshape(samples, self.steps, 18)
+        free, spread = postures_from_coordinates(drawn), np.linalg.norm(cholesky, axis=1).reshape(self.steps, 18)
+        uniforms, within = rng.random((samples, self.steps, 8)), posture_bounds(self.limits)
+        postures = hold(free, mean, spread, track[-1], uniforms, within, self.dt)
         motions = observation.to_world(points_from_postures(postures))
-
-        def free() -> Float[np.ndarray, "S T 6 3"]:
-            coordinates = mean + (draws @ cholesky.T).reshape(samples, self.steps, 18)
-            return points_from_postures(postures_from_coordinates(coordinates))
-
-        constraint = None
-        if self.limits is not None:
-            constraint = ConstraintFactor(free, observation, self.limits, self.noise)
+        constraint = self._constraint(observation, lambda: points_from_postures(free))
         blocks = GaussianMixture(mean[None], cholesky.reshape(1, self.steps, 18, -1), posture=True)
         centre = points_from_postures(postures_from_coordinates(mean))
         density = PoseDensity(observation, centre, blocks, constraint)

@@ -26,8 +26,6 @@ from kinecast.geometry.regions import Regions
 from kinecast.geometry.scene import NO_GOAL
 from kinecast.prediction.observation import Observation
 
-__all__ = ["HANDS", "PATH", "WRISTS", "GoalMixture", "goal_mixture", "goal_probabilities"]
-
 HANDS = ("left", "right")
 WRISTS = [ARM_JOINTS.index(f"{hand}_wrist") for hand in HANDS]
 
@@ -134,15 +132,8 @@ def goal_mixture(
     factor: Float[np.ndarray, "T 6 3 R"],
     scales: tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]],
 ) -> GoalMixture:
-    """The mixture over goals around a base forecast.
-
-    Args:
-        regions: the goals, G > 0.
-        observation: the window.
-        path: (K, 2, 3) where the wrists were, the newest last, world [m].
-        mean: (T, 6, 3) of the base forecast, torso frame [m].
-        factor: (T, 6, 3, R) of its covariance [m].
-        scales: the common factors of the base forecast and their weights.
+    """The mixture over G > 0 goals around a base forecast: its mean and factor in the torso frame [m], its common
+    factors and their weights. `path` is where the wrists were, the newest last, world [m].
     """
     end = observation.to_world(mean[-1, WRISTS])
     chances = goal_probabilities(regions, path, end, observation.dt)
@@ -162,24 +153,21 @@ def goal_mixture(
     size = seen.shape[1]
     halves = [_space(both[part], gram[part, part]) for part in (slice(0, size), slice(size, None))]
     solved = [missing[hand] @ halves[hand][1] for hand in (0, 1)]
-    chosen = [_hypotheses(chances[hand], solved[hand], scales) for hand in (0, 1)]
-    pairs = np.outer(chosen[0], chosen[1])
+    pairs = np.outer(*(_hypotheses(chances[hand], solved[hand], scales) for hand in (0, 1)))
     left, right = np.nonzero(pairs >= LEAST * pairs.max())
-    kind = (left > 0) + 2 * (right > 0)
-    order = np.argsort(kind, kind="stable")
-    left, right, kind = left[order], right[order], kind[order]
-    weights = pairs[left, right]
+    order = np.argsort((left > 0) + 2 * (right > 0), kind="stable")
+    left, right = left[order], right[order]
+    kind, weights = (left > 0) + 2 * (right > 0), pairs[left, right]
     spaces, shifts = {}, np.zeros((both.shape[1], len(weights)))
-    for hand, index in ((0, left), (1, right)):
-        own = kind == 1 + hand
-        if own.any():
-            spaces[1 + hand] = halves[hand][0]
-            shifts[:, own] = halves[hand][0] @ solved[hand][index[own] - 1].T
-    own = kind == 3
-    if own.any():
-        spaces[3], triangle = _space(both, gram)
-        together = np.concatenate([missing[0][left[own] - 1], missing[1][right[own] - 1]], axis=1)
-        shifts[:, own] = spaces[3] @ (together @ triangle).T
+    for which in np.unique(kind[kind > 0]).tolist():
+        own = kind == which
+        if which == 3:
+            spaces[which], triangle = _space(both, gram)
+            white = np.concatenate([missing[0][left[own] - 1], missing[1][right[own] - 1]], axis=1) @ triangle
+        else:
+            spaces[which] = halves[which - 1][0]
+            white = solved[which - 1][(left, right)[which - 1][own] - 1]
+        shifts[:, own] = spaces[which] @ white.T
     return GoalMixture(goals, weights / weights.sum(), shifts / (1.0 + DOUBT), spaces, kind)
 
 

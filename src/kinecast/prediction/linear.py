@@ -14,20 +14,7 @@ from jaxtyping import Float, Int
 
 from kinecast.errors import ModelError
 from kinecast.prediction.mixer import mixer_from_arrays
-from kinecast.prediction.model_file import shaped
-
-__all__ = [
-    "LinearMap",
-    "MeanModel",
-    "WindowFilter",
-    "constant_velocity",
-    "damped_velocity",
-    "fit_ridge",
-    "kalman",
-    "kalman_filter",
-    "mean_from_arrays",
-    "zero_velocity",
-]
+from kinecast.prediction.model_file import Arrays, shaped
 
 Windows = Float[np.ndarray, "W N D"]
 Futures = Float[np.ndarray, "W T D"]
@@ -58,7 +45,7 @@ class MeanModel(Protocol):
 
 
 @dataclass(frozen=True)
-class WindowFilter:
+class WindowFilter(Arrays):
     """The same weights over the window for every coordinate: mean[t] = Σ_n weights[t, n] · window[n].
 
     Each row of weights sums to one, so the prediction moves along with the person.
@@ -69,12 +56,9 @@ class WindowFilter:
     def mean(self, windows: Windows) -> Futures:
         return np.einsum("tn,wnd->wtd", self.weights, windows)
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        return {"weights": self.weights}
-
 
 @dataclass(frozen=True)
-class LinearMap:
+class LinearMap(Arrays):
     """mean = last + ((features − centre) / scale) · matrix.
 
     The features are the window relative to its last frame, then the last frame itself.
@@ -95,28 +79,19 @@ class LinearMap:
         displacement = standard @ self.matrix[:-1] + self.matrix[-1]
         return windows[:, -1:] + displacement.reshape(len(windows), -1, windows.shape[2])
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        return {"centre": self.centre, "scale": self.scale, "matrix": self.matrix}
-
 
 def mean_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, size: int) -> MeanModel:
-    """The mean model of N frames, T steps and D coordinates that `to_arrays` described.
-
-    Raises:
-        ModelError: arrays of no known mean model, or of another shape.
-    """
+    """The mean model of N frames, T steps and D coordinates that `to_arrays` described; ModelError for any other."""
     if "gain" in arrays:
         return mixer_from_arrays(arrays, frames, steps, size)
     if "weights" in arrays:
         return WindowFilter(shaped(arrays, "weights", steps, frames))
     if {"centre", "scale", "matrix"} <= set(arrays):
         features = frames * size
-        scale = shaped(arrays, "scale", features)
+        scale, matrix = shaped(arrays, "scale", features), shaped(arrays, "matrix", features + 1, steps * size)
         if not (scale > 0).all():
             raise ModelError("array scale holds values that are not above 0")
-        return LinearMap(
-            shaped(arrays, "centre", features), scale, shaped(arrays, "matrix", features + 1, steps * size)
-        )
+        return LinearMap(shaped(arrays, "centre", features), scale, matrix)
     raise ModelError(
         f"mean model with arrays {sorted(arrays)}; expected weights, or centre, scale and matrix, or those of a mixer"
     )
@@ -139,7 +114,7 @@ def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilt
     with the least mean point error is taken, so the baseline is as strong as it can be.
     """
     frames, time = windows.shape[1], np.arange(1, futures.shape[1] + 1)
-    estimators = [_difference(frames, 1), _difference(frames, 2), _slope(frames, 1), _slope(frames, 2)]
+    estimators = [_difference(frames, 1), _difference(frames, 2), slope_weights(frames, 1), slope_weights(frames, 2)]
     reaches = [-tau * np.expm1(-time / tau) for tau in TIME_CONSTANTS / dt]
     filters = [_moving_on(velocity, reach) for velocity in estimators for reach in reaches]
     return min(filters, key=lambda model: _mean_point_error(model.mean(windows), futures))
@@ -171,7 +146,7 @@ def _difference(frames: int, intervals: int) -> Float[np.ndarray, " N"]:
     return velocity / intervals
 
 
-def _slope(frames: int, degree: int) -> Float[np.ndarray, " N"]:
+def slope_weights(frames: int, degree: int) -> Float[np.ndarray, " N"]:
     """Weights of the slope at the last frame of a least-squares polynomial over the window."""
     time = np.arange(frames) - (frames - 1.0)
     return np.linalg.pinv(np.vander(time, degree + 1, increasing=True))[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -14,16 +14,9 @@ import numpy as np
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError, OptionError
-from kinecast.prediction.gaussian import PositionGaussian, PostureGaussian, position_examples, posture_examples
+from kinecast.prediction.gaussian import PositionGaussian, PostureGaussian
 from kinecast.prediction.kinecast.model import kinecast_from_arrays
-from kinecast.prediction.linear import (
-    MeanModel,
-    constant_velocity,
-    damped_velocity,
-    fit_ridge,
-    kalman,
-    zero_velocity,
-)
+from kinecast.prediction.linear import MeanModel, constant_velocity, damped_velocity, fit_ridge, kalman, zero_velocity
 from kinecast.prediction.method import Method
 from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
@@ -33,19 +26,6 @@ from kinecast.prediction.paper import PositionSeries, PostureSeries
 from kinecast.prediction.plugins import is_plugin, load_plugin
 from kinecast.prediction.sparse_gp import SparseGPOptions
 from kinecast.tasks import Progress, Serial, Workers, scatter
-
-__all__ = [
-    "METHODS",
-    "TrainingOptions",
-    "card_of",
-    "check_names",
-    "limits_of",
-    "read_method",
-    "read_shipped",
-    "save_method",
-    "shipped_methods",
-    "train",
-]
 
 METHODS: Mapping[str, str] = {
     "zero_velocity": "nothing moves",
@@ -117,50 +97,32 @@ def train(
     if len(windows) < 50:
         raise ModelError(f"{len(windows)} training windows; at least 50 are needed")
     workers = workers or Serial()
-    fitting = _Fitting(workers, windows, options)
-    return dict(zip(names, workers.results([fitting.method(name) for name in names], progress), strict=True))
+    fitted = _fitting(workers, windows, options)
+    return dict(zip(names, workers.results([fitted(name) for name in names], progress), strict=True))
 
 
-class _Fitting:
-    """Tasks that fit methods to the same windows; what two methods share is one task."""
+def _fitting(workers: Workers, windows: TrainingWindows, options: TrainingOptions) -> Callable[[str], Any]:
+    """Gives what stands for a trained method by its name; what two methods share is one task."""
+    noise, limits, data = sensor_noise(windows), limits_of(windows, options), workers.submit(scatter, windows)
+    examples = cache(lambda kind: workers.submit(kind.examples, data))
 
-    def __init__(self, workers: Workers, windows: TrainingWindows, options: TrainingOptions) -> None:
-        self._workers, self._windows, self._options = workers, windows, options
-        self._noise, self._limits = sensor_noise(windows), limits_of(windows, options)
-        self._data = workers.submit(scatter, windows)
-        self._methods: dict[str, Any] = {}
-
-    @cached_property
-    def _positions(self) -> Any:
-        return self._workers.submit(position_examples, self._data)
-
-    @cached_property
-    def _postures(self) -> Any:
-        return self._workers.submit(posture_examples, self._data)
-
-    def method(self, name: str) -> Any:
-        """Stands for a trained method."""
-        if name not in self._methods:
-            self._methods[name] = self._fitted(name)
-        return self._methods[name]
-
-    def _fitted(self, name: str) -> Any:
-        workers, windows, options = self._workers, self._windows, self._options
+    @cache
+    def fitted(name: str) -> Any:
         if name in FREE:
-            return workers.submit(_with_limits, self.method(FREE[name]), self._limits)
+            return workers.submit(_with_limits, fitted(FREE[name]), limits)
         if name == "kinecast":
             from kinecast.prediction.kinecast.fit import KinecastOptions, fitting_kinecast  # only to train
 
-            own = KinecastOptions(seed=options.seed)
-            return fitting_kinecast(workers, windows, self._data, self._limits, self._noise, own)
+            return fitting_kinecast(workers, windows, data, limits, noise, KinecastOptions(seed=options.seed))
         if name == "gp_xyz":
-            return PositionSeries.fitting(workers, windows, self._data, options)
+            return PositionSeries.fitting(workers, windows, data, options)
         if name == "gp_angles":
-            return PostureSeries.fitting(workers, windows, self._postures, options, self._noise)
+            return PostureSeries.fitting(workers, windows, examples(PostureGaussian), options, noise)
+        kind = PostureGaussian if name.endswith("_angles") else PositionGaussian
         fit = partial(_fit_mean, name.removesuffix("_angles"), options, windows.dt)
-        if name.endswith("_angles"):
-            return PostureGaussian.fitting(workers, fit, windows, self._postures, self._noise)
-        return PositionGaussian.fitting(workers, fit, windows, self._positions, self._noise)
+        return kind.fitting(workers, fit, windows, examples(kind), noise)
+
+    return fitted
 
 
 def _with_limits(method: Any, limits: JointLimits) -> Any:
@@ -209,15 +171,18 @@ def _fit_mean(
 ) -> MeanModel:
     """Fits the mean model of a baseline."""
     frames, steps = windows.shape[1], futures.shape[1]
-    fits: dict[str, Callable[[], MeanModel]] = {
-        "zero_velocity": lambda: zero_velocity(frames, steps),
-        "constant_velocity": lambda: constant_velocity(frames, steps),
-        "damped_velocity": lambda: damped_velocity(windows, futures, dt),
-        "kalman": lambda: kalman(windows, futures),
-        "ridge": lambda: fit_ridge(windows, futures, folds),
-        "mixer": lambda: fit_mixer(windows, futures, steps=options.descent, seed=options.seed),
-    }
-    return fits[name]()
+    match name:
+        case "zero_velocity":
+            return zero_velocity(frames, steps)
+        case "constant_velocity":
+            return constant_velocity(frames, steps)
+        case "damped_velocity":
+            return damped_velocity(windows, futures, dt)
+        case "kalman":
+            return kalman(windows, futures)
+        case "ridge":
+            return fit_ridge(windows, futures, folds)
+    return fit_mixer(windows, futures, steps=options.descent, seed=options.seed)
 
 
 def save_method(path: Path, card: ModelCard, method: Method[Any]) -> None:

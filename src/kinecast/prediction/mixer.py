@@ -8,16 +8,14 @@ cosine transform over time, blocks that mix frames with a normalised residual, a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.prediction.descent import descend
-from kinecast.prediction.model_file import shaped
-
-__all__ = ["Mixer", "fit_mixer", "mixer_from_arrays"]
+from kinecast.prediction.model_file import Arrays, shaped
 
 WIDTH, BLOCKS = 48, 4
 LEAST = 1e-5
@@ -25,7 +23,7 @@ LEAST = 1e-5
 
 
 @dataclass(frozen=True)
-class Mixer:
+class Mixer(Arrays):
     """h = C x W + b; h += norm(A_k h + a_k) for every block k; displacement = O h V + v.
 
     x is the window relative to its last frame, beside that last frame, both over `scale`; C the cosine transform over
@@ -53,21 +51,13 @@ class Mixer:
 
     def mean(self, windows: Float[np.ndarray, "W N D"]) -> Float[np.ndarray, "W T D"]:
         """(W, N, D) windows in, (W, T, D) means out."""
-        parameters = (self.W, self.b, self.A, self.a, self.gain, self.shift, self.O, self.V, self.v)
+        _, *parameters = self.to_arrays().values()
         x = _transform(windows.shape[1]) @ (_inputs(windows) / self.scale)
         return windows[:, -1:] + _displacement(np, parameters, x)
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """The arrays that describe it."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
 
 def mixer_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, size: int) -> Mixer:
-    """The model of N frames, T steps and D coordinates that `to_arrays` described.
-
-    Raises:
-        ModelError: an array is missing, or of another shape.
-    """
+    """The model of N frames, T steps and D coordinates that `to_arrays` described; ModelError for any other."""
     shapes = {
         "scale": (2 * size,), "W": (2 * size, WIDTH), "b": (WIDTH,), "A": (BLOCKS, frames, frames),
         "a": (BLOCKS, frames), "gain": (BLOCKS, WIDTH), "shift": (BLOCKS, WIDTH), "O": (steps, frames),
@@ -77,20 +67,9 @@ def mixer_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int,
 
 
 def fit_mixer(
-    windows: Float[np.ndarray, "W N D"],
-    futures: Float[np.ndarray, "W T D"],
-    *,
-    steps: int,
-    seed: int,
+    windows: Float[np.ndarray, "W N D"], futures: Float[np.ndarray, "W T D"], *, steps: int, seed: int
 ) -> Mixer:
-    """Trained by stochastic descent on the mean distance between predicted and true points.
-
-    Args:
-        windows: (W, N, D) observed, coordinates in threes.
-        futures: (W, T, D) what followed.
-        steps: of descent.
-        seed: of everything random.
-    """
+    """Trained by `steps` of stochastic descent on the mean distance between points, coordinates in threes."""
     frames, size = windows.shape[1:]
     inputs, target = _inputs(windows), futures - windows[:, -1:]
     scale, unit = np.sqrt(inputs.var(axis=(0, 1)) + LEAST), np.sqrt(target.var() + LEAST)
@@ -103,10 +82,9 @@ def fit_mixer(
         rng.normal(0.0, 0.1 / np.sqrt(WIDTH), (WIDTH, size)), np.zeros(size),
     )  # fmt: skip
     x = _transform(frames) @ (inputs / scale)
-    found = descend(
+    W, b, A, a, gain, shift, O, V, v = descend(  # noqa: E741
         _loss, start, (x, target / unit), steps=steps, batch=128, rate=2e-3, decay=1e-4, second=0.999, seed=seed
     )
-    W, b, A, a, gain, shift, O, V, v = found  # noqa: E741
     return Mixer(scale, W, b, A, a, gain, shift, O, unit * V, unit * v)
 
 
@@ -134,10 +112,9 @@ def _displacement(np_: Any, parameters: Any, x: Any) -> Any:
     return O @ h @ V + v
 
 
-def _loss(parameters: Any, rows: Any, key: Any) -> Any:
+def _loss(parameters: Any, rows: Any, _key: Any) -> Any:
     import jax.numpy as jnp
 
-    del key
     x, target = rows
     error = _displacement(jnp, parameters, x) - target
     square = (error.reshape(*error.shape[:2], -1, 3) ** 2).sum(axis=-1)

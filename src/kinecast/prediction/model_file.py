@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -18,8 +17,6 @@ from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import ModelError
 
-__all__ = ["ModelCard", "covariance_factor", "read_model_file", "shaped", "write_model_file"]
-
 FORMAT = "kinecast-model"
 VERSION = 1
 LARGEST = 256 * 2**20
@@ -32,6 +29,21 @@ FIELD_KINDS: dict[str, tuple[type, ...]] = {
     "label": (str,), "seed": (int,),
 }  # fmt: skip
 """Types of the card's plain entries."""
+
+
+class Arrays:
+    """Base of dataclasses whose fields are arrays and dataclasses of them: they go into a model file by name."""
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Each field by its name; the fields of a field as `name.field`."""
+        arrays: dict[str, np.ndarray] = {}
+        for name in (f.name for f in dataclasses.fields(self)):  # type: ignore[arg-type]
+            value = getattr(self, name)
+            if isinstance(value, Arrays):
+                arrays |= {f"{name}.{inner}": array for inner, array in value.to_arrays().items()}
+            else:
+                arrays[name] = np.asarray(value)
+        return arrays
 
 
 @dataclass(frozen=True)
@@ -77,19 +89,11 @@ class ModelCard:
 
     @staticmethod
     def from_json(text: str, where: object) -> ModelCard:
-        """The card of `to_json`.
-
-        Raises:
-            ModelError: not a card of this version, or a value outside its range.
-        """
+        """The card of `to_json`; ModelError for one of another version, or a value outside its range."""
         try:
-            data = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise ModelError(f"{where}: the model's card is not JSON ({error})") from None
-        try:
-            return _card_from(data)
-        except (TypeError, ValueError) as error:
-            raise ModelError(f"{where}: {error}") from None
+            return _card_from(json.loads(text))
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ModelError(f"{where}: the model's card: {error}") from None
 
 
 def _card_from(data: Any) -> ModelCard:
@@ -143,19 +147,14 @@ def write_model_file(path: Path, card: ModelCard, arrays: Mapping[str, np.ndarra
         ModelError: the folder does not exist or cannot be written, or the path is a folder.
     """
     stored = {CARD: np.frombuffer(card.to_json().encode(), np.uint8), **arrays}
-    partial: str | None = None
     try:
-        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **stored)
-        os.chmod(partial, 0o644)  # mkstemp's is for its owner alone
-        os.replace(partial, path)
-        partial = None
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+            partial = Path(folder) / "part"
+            with partial.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **stored)
+            partial.replace(path)
     except OSError as error:
         raise ModelError(f"{path}: cannot write ({error.strerror})") from None
-    finally:
-        if partial is not None:
-            Path(partial).unlink(missing_ok=True)
 
 
 def read_model_file(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
@@ -189,26 +188,10 @@ def read_model_file(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
 
 
 def shaped(arrays: Mapping[str, np.ndarray], name: str, *shape: int) -> np.ndarray:
-    """An array of floats by its name.
-
-    Raises:
-        ModelError: missing, or of another shape.
-    """
+    """An array of floats by its name; ModelError where it is missing or of another shape."""
     if name not in arrays:
         raise ModelError(f"array {name} is missing; present are {sorted(arrays)}")
     array = np.ascontiguousarray(arrays[name], dtype=float)
     if array.shape != shape:
         raise ModelError(f"array {name} of shape {array.shape}; expected {shape}")
     return array
-
-
-def covariance_factor(arrays: Mapping[str, np.ndarray], name: str, size: int) -> np.ndarray:
-    """(K, K) lower factor of a covariance by its name.
-
-    Raises:
-        ModelError: missing, of another shape, or no such factor.
-    """
-    factor = shaped(arrays, name, size, size)
-    if np.triu(factor, 1).any() or not (np.diag(factor) > 0).all():
-        raise ModelError(f"array {name} is no lower triangle with a positive diagonal")
-    return factor

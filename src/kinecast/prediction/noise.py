@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 from kinecast.prediction.observation import TrainingWindows
 
-__all__ = ["angle_noise", "coordinate_noise", "sensor_noise"]
-
 LEAST_SINE = 0.02
 """Near a degenerate pose an angle's noise stops growing here."""
 
@@ -46,22 +44,16 @@ def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, "*#b 3"
 
 
 def coordinate_noise(posture: Float[np.ndarray, "18"], noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "18"]:
-    """(18,) spread of the smooth posture coordinates that noise on the joints brings, to first order.
-
-    Args:
-        posture: (18,) where.
-        noise: (6,) spread of each joint along each axis [m].
-    """
+    """(18,) spread of the smooth posture coordinates that noise on the joints [m] brings, to first order."""
     shoulders = np.hypot(noise[0], noise[3])
     spread = np.empty(18)
     spread[:3] = 0.5 * shoulders
     spread[3:5] = shoulders / posture[5]
     spread[5] = shoulders
     for joint, start in ((0, 6), (3, 12)):
-        arm, local = posture[start : start + 6], noise[joint : joint + 3]
-        spread[start : start + 2] = angle_noise(arm, local)[:2]
+        local = noise[joint : joint + 3]
+        flexion, abduction, _, elbow = angle_noise(posture[start : start + 6], local)
         # The pair (θ4 cos θ3, θ4 sin θ3) is as uncertain as the elbow's angle, in every direction.
-        spread[start + 2 : start + 4] = angle_noise(arm, local)[3]
-        spread[start + 4] = np.hypot(local[0], local[1])
-        spread[start + 5] = np.hypot(local[1], local[2])
+        bones = np.hypot(local[:2], local[1:])
+        spread[start : start + 6] = flexion, abduction, elbow, elbow, *bones
     return spread

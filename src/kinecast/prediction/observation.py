@@ -19,22 +19,17 @@ from kinecast.geometry.regions import Regions
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.transforms import lengths
 
-__all__ = ["Observation", "TrainingWindows", "reference_frame"]
-
 LEFT_SHOULDER, RIGHT_SHOULDER = ARM_JOINTS.index("left_shoulder"), ARM_JOINTS.index("right_shoulder")
 
 
 def reference_frame(
     points: Float[np.ndarray, "*b 6 3"], up: Float[np.ndarray, "*b 3"]
 ) -> tuple[Float[np.ndarray, "*b 3 3"], Float[np.ndarray, "*b 3"]]:
-    """Rotation (columns x, y, z) and origin of the torso frame.
+    """Rotation R_world_torso (columns x, y, z) and origin [m] of the torso frame.
 
     Args:
         points: (…, 6, 3) arm joints [m].
         up: (…, 3) direction up the torso, of any length, not along the shoulder line.
-
-    Returns:
-        (…, 3, 3) rotation R_world_torso and (…, 3) origin [m].
     """
     left, right = points[..., LEFT_SHOULDER, :], points[..., RIGHT_SHOULDER, :]
     y = left - right
@@ -139,15 +134,8 @@ class TrainingWindows:
 
     def take(self, rows: Int[np.ndarray, " K"]) -> TrainingWindows:
         """Some of the windows."""
-        return replace(
-            self,
-            observed=self.observed[rows],
-            future=self.future[rows],
-            up=self.up[rows],
-            recording=self.recording[rows],
-            frame=self.frame[rows],
-            group=self.group[rows],
-        )
+        own = ("observed", "future", "up", "recording", "frame", "group")
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
     def outside(self, scene: Scene) -> TrainingWindows:
         """Only the windows that end with both arms free of obstacles."""
@@ -159,12 +147,11 @@ class TrainingWindows:
         groups, sizes = np.unique(self.group, return_counts=True)
         if len(groups) < 2:
             return np.minimum(np.arange(len(self)) * count // max(len(self), 1), count - 1)
-        fold_of: dict[int, int] = {}
-        load = np.zeros(min(count, len(groups)))
-        for k in np.argsort(-sizes, kind="stable"):
-            fold_of[int(groups[k])] = int(np.argmin(load))
-            load[np.argmin(load)] += sizes[k]
-        return np.array([fold_of[int(group)] for group in self.group])
+        fold_of, load = np.zeros(len(groups), dtype=int), np.zeros(min(count, len(groups)))
+        for k in np.argsort(-sizes, kind="stable"):  # the largest first, each to the emptiest fold
+            fold_of[k] = np.argmin(load)
+            load[fold_of[k]] += sizes[k]
+        return fold_of[np.searchsorted(groups, self.group)]
 
     def near(self, chosen: Bool[np.ndarray, " W"]) -> Bool[np.ndarray, " W"]:
         """(W,) windows that share a frame with a chosen one."""

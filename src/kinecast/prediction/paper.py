@@ -24,20 +24,28 @@ from kinecast.prediction.method import Forecast, Memoryless
 from kinecast.prediction.model_file import ModelCard, shaped
 from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
-from kinecast.prediction.rollout import LENGTHS, RELATIVE, SERIES, roll_positions, roll_series
-from kinecast.prediction.rollout_density import PositionRolloutBlocks, PostureRolloutBlocks
+from kinecast.prediction.rollout import (
+    BONES,
+    RELATIVE,
+    SERIES,
+    PositionRolloutBlocks,
+    PostureRolloutBlocks,
+    roll_positions,
+    roll_series,
+)
 from kinecast.prediction.sparse_gp import SparseGPOptions, SparseGPs, fit_sparse_gp
 from kinecast.tasks import Workers
 
-__all__ = ["PositionSeries", "PostureSeries"]
+LEAST_NOISE = 1e-6
+"""Where bounds leave a single value, its density needs some noise to be finite [m]."""
 
 
 class _Series(NamedTuple):
-    """D series and their next values, at the windows that processes are trained on."""
+    """D series and their next values, at the windows that processes are trained on; how far bones stray."""
 
     inputs: Float[np.ndarray, "D W N"]
     outputs: Float[np.ndarray, "D W"]
-    length_spread: Float[np.ndarray, "T 4"]
+    length_spread: Float[np.ndarray, "T 4"] | None = None
 
 
 def _chosen(windows: int, options: SparseGPOptions) -> Int[np.ndarray, " K"]:
@@ -49,15 +57,14 @@ def _position_series(windows: TrainingWindows, options: SparseGPOptions) -> _Ser
     """World coordinates as they are, as the paper has it."""
     rows = _chosen(len(windows), options)
     inputs = windows.observed[rows].reshape(len(rows), -1, 18).transpose(2, 0, 1)
-    return _Series(inputs, windows.future[rows, 0].reshape(-1, 18).T, np.empty((0, len(LENGTHS))))
+    return _Series(inputs, windows.future[rows, 0].reshape(-1, 18).T)
 
 
 def _posture_series(examples: Examples, options: SparseGPOptions) -> _Series:
     """Torso pose relative to its last value, angles as they are; how far bone lengths stray from their last value."""
-    series, bones = list(SERIES), list(LENGTHS)
-    stray = examples.future[..., bones] - examples.observed[:, -1:, bones]
+    stray = examples.future[..., BONES] - examples.observed[:, -1:, BONES]
     rows = _chosen(len(examples.observed), options)
-    inputs, outputs = examples.observed[rows][:, :, series], examples.future[rows, 0][:, series]
+    inputs, outputs = examples.observed[rows][:, :, SERIES], examples.future[rows, 0][:, SERIES]
     last = inputs[:, -1:, :RELATIVE].copy()
     inputs[..., :RELATIVE] -= last
     outputs[:, :RELATIVE] -= last[:, 0]
@@ -145,23 +152,18 @@ class PostureSeries(Memoryless):
         """See kinecast.prediction.method.Method."""
         track = postures_from_points(observation.points, continuous=True)
         offsets = rng.standard_normal((samples, 18)) * coordinate_noise(track[-1], observation.noise)
-        postures, means, spreads = roll_series(
+        rollout = roll_series(
             coordinates_from_postures(track), offsets, self.processes, self.length_spread, track[-1],
             rng.standard_normal((samples, self.steps, 18)), rng.random((samples, self.steps, 8)),
             posture_bounds(self.limits), self.dt,
         )  # fmt: skip
-        points = points_from_postures(postures)
+        points, held = points_from_postures(rollout.postures), self.limits is not None
         mean = points.mean(axis=0)
-        constraint = None
-        if self.limits is not None:  # which hold every draw already; only a scene is left to do anything
-            constraint = ConstraintFactor(lambda: points, observation, None, self.noise)
-        blocks = PostureRolloutBlocks(postures, means, spreads, track[-1], self.limits, self.dt, self.noise)
-        return Forecast(
-            observation.to_world(points),
-            observation.to_world(mean),
-            PoseDensity(observation, mean, blocks, constraint),
-            self.limits is not None,
-        )
+        # Limits hold every draw already; only a scene is left to do anything.
+        constraint = ConstraintFactor(lambda: points, observation, None, self.noise) if held else None
+        blocks = PostureRolloutBlocks(rollout, track[-1], max(self.noise, LEAST_NOISE) if held else 0.0)
+        density = PoseDensity(observation, mean, blocks, constraint)
+        return Forecast(observation.to_world(points), observation.to_world(mean), density, held)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a model file."""
@@ -171,7 +173,7 @@ class PostureSeries(Memoryless):
     def from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> PostureSeries:
         """The method that `to_arrays` described, without limits."""
         processes = SparseGPs.from_arrays(arrays, len(SERIES), card.frames)
-        spread = shaped(arrays, "length_spread", card.steps, len(LENGTHS))
+        spread = shaped(arrays, "length_spread", card.steps, len(BONES))
         if not (spread > 0).all():
             raise ModelError("array length_spread holds values that are not above 0")
         return PostureSeries(card.frames, card.steps, card.dt, processes, spread, card.noise)
@@ -180,4 +182,5 @@ class PostureSeries(Memoryless):
 def _posture_method(
     shape: tuple[int, int, float], processes: SparseGPs, series: _Series, noise: float
 ) -> PostureSeries:
+    assert series.length_spread is not None
     return PostureSeries(*shape, processes, series.length_spread, noise)

@@ -19,8 +19,6 @@ from kinecast.prediction.method import Forecast, Method
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.tasks import CARRIED
 
-__all__ = ["is_plugin", "load_plugin", "train_plugin"]
-
 NAME = re.compile(r"[\w.]+:[^\W\d]\w*")
 SAMPLES = 8
 STANDING = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
@@ -33,10 +31,7 @@ def is_plugin(name: str) -> bool:
 
 
 def load_plugin(name: str) -> Method[Any]:
-    """What a function without arguments gives: a trained method.
-
-    Args:
-        name: MODULE:FUNCTION; the working folder is searched after everything installed.
+    """What MODULE:FUNCTION gives without arguments: a trained method. Installed modules go before the working folder's.
 
     Raises:
         OptionError: there is no such function.
@@ -46,15 +41,7 @@ def load_plugin(name: str) -> Method[Any]:
 
 
 def train_plugin(name: str, windows: TrainingWindows) -> Method[Any]:
-    """What a function makes of training windows: a method for windows like them.
-
-    Args:
-        name: MODULE:FUNCTION; the working folder is searched after everything installed.
-        windows: to train on.
-
-    Raises:
-        OptionError, ModelError: as `load_plugin`; or it is for other windows.
-    """
+    """What MODULE:FUNCTION makes of training windows: a method for windows like them. Raises as `load_plugin`."""
     method = _function(name)(windows)
     frames, steps, dt = windows.shape
     if isinstance(method, Method) and (
@@ -81,11 +68,7 @@ def _function(name: str) -> Callable[..., Any]:
 
 
 def _checked(method: object, name: str) -> Method[Any]:
-    """A method whose forecast of somebody who stands is what a forecast must be.
-
-    Raises:
-        ModelError: it is not.
-    """
+    """A method whose forecast of somebody who stands is what a forecast must be; ModelError where it is not."""
     if not isinstance(method, Method):
         wanted = "frames, steps, dt, init_state, update, forecast and to_arrays"
         raise ModelError(f"{name}: gave {type(method).__name__}, which lacks one of {wanted}")

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,8 +25,6 @@ from jaxtyping import Float
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.descent import jax_in_one_thread
 from kinecast.prediction.model_file import shaped
-
-__all__ = ["JITTER", "SparseGPOptions", "SparseGPs", "centres", "fit_sparse_gp", "negative_log_likelihood"]
 
 JITTER = 1e-8
 """Added to the diagonal of K, as a share of σf²."""
@@ -36,9 +34,6 @@ CENTRING_ROUNDS, CENTRING_POINTS = 10, 8192
 """Iterations of the k-means that places the pseudo-inputs, and points it looks at."""
 LENGTHSCALES, SIGNAL_VARIANCES, NOISE_VARIANCES = (1e-2, 1e3), (1e-4, 1e6), (1e-6, 10.0)
 """Ranges of the hyperparameters, in standardised units: wide enough never to bind on data worth fitting."""
-
-
-Predictor: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class SparseGPs(NamedTuple):
@@ -65,42 +60,20 @@ class SparseGPs(NamedTuple):
     noise: Float[np.ndarray, " D"]
 
     def predict(self, x: Float[np.ndarray, "D N S"]) -> tuple[Float[np.ndarray, "D S"], Float[np.ndarray, "D S"]]:
-        """Predictive mean and standard deviation, the noise included.
-
-        Args:
-            x: (D, N, S) inputs of S samples, in the units of the training inputs; NaN gives NaN.
-
-        Returns:
-            (D, S) means and (D, S) standard deviations, in the units of the outputs.
-        """
-        return self.predictor(x.shape[2])(x)
-
-    def predictor(self, samples: int) -> Predictor:
-        """`predict` for calls with the same number of samples: what is large is made once.
+        """Predictive mean and standard deviation (the noise included) of S inputs, in the units of the outputs.
 
         With w = (u, 1, |u|²) each log k_m = w · (pseudo_m, −½ |pseudo_m|², −½) is part of one product, and so are the
-        mean and what the variance lacks.
+        mean and what the variance lacks. NaN gives NaN.
         """
-        series, inputs, pseudo = self.pseudo.shape
-        gain, offset = self.gain[:, :, None], self.offset[:, :, None]
-        centre, signal, noise = self.centre[:, None], self.signal[:, None], self.noise[:, None]
         squares = -0.5 * np.square(self.pseudo).sum(axis=1)[:, :, None]
         exponents = np.concatenate([self.pseudo.transpose(0, 2, 1), squares, np.full_like(squares, -0.5)], axis=2)
-        products = np.concatenate([self.weights[:, None], self.factor], axis=1)
-        w = np.ones((series, inputs + 2, samples))
-        u, k = w[:, :inputs], np.empty((series, pseudo, samples))
-        out = np.empty((series, products.shape[1], samples))
-
-        def predict(x: Float[np.ndarray, "D N S"]) -> tuple[Float[np.ndarray, "D S"], Float[np.ndarray, "D S"]]:
-            np.multiply(gain, x, out=u)
-            np.subtract(u, offset, out=u)
-            np.einsum("dns,dns->ds", u, u, out=w[:, -1])
-            np.exp(np.matmul(exponents, w, out=k), out=k)
-            np.matmul(products, k, out=out)
-            explained = np.einsum("drs,drs->ds", out[:, 1:], out[:, 1:])
-            return out[:, 0] + centre, np.sqrt(np.maximum(signal - explained, 0.0) + noise)
-
-        return predict
+        u = self.gain[:, :, None] * x - self.offset[:, :, None]
+        square = np.einsum("dns,dns->ds", u, u)[:, None]
+        k = np.exp(exponents @ np.concatenate([u, np.ones_like(square), square], axis=1))
+        out = np.concatenate([self.weights[:, None], self.factor], axis=1) @ k
+        explained = np.einsum("drs,drs->ds", out[:, 1:], out[:, 1:])
+        variance = np.maximum(self.signal[:, None] - explained, 0.0) + self.noise[:, None]
+        return out[:, 0] + self.centre[:, None], np.sqrt(variance)
 
     @staticmethod
     def joined(processes: Sequence[SparseGPs]) -> SparseGPs:
@@ -153,13 +126,7 @@ def fit_sparse_gp(
 ) -> SparseGPs:
     """One SPGP of the marginal likelihood's maximum, starting from k-means centres.
 
-    Args:
-        inputs: (W, N), any units; W ≥ 2.
-        outputs: (W,), any units.
-        options: its `points` is the caller's.
-
-    Returns:
-        The posterior given all points, D = 1. The same seed and data give the same result on the same machine.
+    The same seed and data give the same result (D = 1) on the same machine; `options.points` is the caller's.
 
     Raises:
         MissingExtraError: without JAX.
@@ -173,8 +140,10 @@ def fit_sparse_gp(
     output_mean, output_sd = _standard(outputs)
     x, y = (inputs - input_mean) / input_sd, (outputs - output_mean) / output_sd
     z = centres(np.random.default_rng(options.seed), x, min(options.pseudo_inputs, len(x)))
-    best = _maximise(_pack(z, np.full(x.shape[1], math.sqrt(x.shape[1])), SIGNAL_START, NOISE_START), x, y, options)
-    z, lengths, signal, noise = unpack(best, x.shape[1])
+    start = np.log([math.sqrt(x.shape[1])] * x.shape[1] + [SIGNAL_START, NOISE_START])
+    best = _maximise(np.concatenate([start, z.ravel()]), x, y, options)
+    *lengths, signal, noise = np.exp(best[: x.shape[1] + 2])
+    z = best[x.shape[1] + 2 :].reshape(z.shape)
     weights, factor = _posterior(x / lengths, y, z / lengths, signal, noise)
     return SparseGPs(
         gain=1.0 / (input_sd * lengths)[None],
@@ -233,21 +202,6 @@ def centres(rng: np.random.Generator, points: Float[np.ndarray, "W N"], count: i
     return found + 1e-3 * rng.standard_normal(found.shape)  # repeated points would share a centre
 
 
-def _pack(
-    z: Float[np.ndarray, "M N"], lengths: Float[np.ndarray, " N"], signal: float, noise: float
-) -> Float[np.ndarray, " K"]:
-    """One vector for the optimiser: log lengthscales, log variances, pseudo-inputs."""
-    return np.concatenate([np.log([*lengths, signal, noise]), z.ravel()])
-
-
-def unpack(
-    vector: Float[np.ndarray, " K"], inputs: int
-) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, " N"], float, float]:
-    """Pseudo-inputs, lengthscales, signal and noise variance of the optimiser's vector."""
-    *lengths, signal, noise = np.exp(vector[: inputs + 2])
-    return vector[inputs + 2 :].reshape(-1, inputs), np.array(lengths), float(signal), float(noise)
-
-
 def negative_log_likelihood(vector: Any, x: Any, y: Any) -> Any:
     """−log N(y; 0, Kₙₘ K⁻¹ Kₘₙ + Λ), Λ the FITC diagonal (JAX).
 
@@ -288,27 +242,22 @@ def _value_and_gradient() -> Callable[..., Any]:
 def _maximise(
     start: Float[np.ndarray, " K"], x: Float[np.ndarray, "W N"], y: Float[np.ndarray, " W"], options: SparseGPOptions
 ) -> Float[np.ndarray, " K"]:
-    """The best vector met by L-BFGS from start, on the negative log marginal likelihood per number."""
+    """Where L-BFGS ends from start, on the negative log marginal likelihood per number."""
     double_precision = jax_in_one_thread().enable_x64(True)
     from scipy.optimize import Bounds, minimize  # here, since predicting does without and it is slow to import
 
-    best, lowest = start, math.inf
-
     def cost(vector: Float[np.ndarray, " K"]) -> tuple[float, Float[np.ndarray, " K"]]:
-        nonlocal best, lowest
         value, slope = _value_and_gradient()(vector, x, y)
         value, slope = float(value) / len(y), np.asarray(slope) / len(y)
-        if not (math.isfinite(value) and np.isfinite(slope).all()):
-            return 1e10, np.zeros_like(vector)  # the line search steps back
-        if value < lowest:
-            best, lowest = vector.copy(), value
-        return value, slope
+        if math.isfinite(value) and np.isfinite(slope).all():
+            return value, slope
+        return 1e10, np.zeros_like(vector)  # the line search steps back
 
     ranges = np.repeat([[-math.inf, math.inf]], len(start), axis=0)
     ranges[: x.shape[1] + 2] = np.log([LENGTHSCALES] * x.shape[1] + [SIGNAL_VARIANCES, NOISE_VARIANCES])
     with double_precision:  # the caller's own setting comes back after it
-        minimize(
+        found = minimize(
             cost, start, jac=True, method="L-BFGS-B", bounds=Bounds(*ranges.T),
             options={"maxiter": options.iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-7},
         )  # fmt: skip
-    return best
+    return np.asarray(found.x)

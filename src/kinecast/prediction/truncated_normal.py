@@ -21,8 +21,6 @@ from typing import no_type_check
 
 from numba import njit
 
-__all__ = ["keep_or_redraw", "log_pdf", "log_survival", "mills_ratio", "noisy_log_pdf", "sample", "tail_offset"]
-
 LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
 SQRT_HALF = math.sqrt(0.5)
 SQRT_HALF_PI = math.sqrt(0.5 * math.pi)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.posture import (
@@ -60,29 +60,30 @@ class Proposal:
     log_density: np.ndarray
 
 
-def log_normal(x: np.ndarray, mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    white = np.linalg.solve(factor, (x - mean)[..., None])[..., 0]
-    size = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    return -0.5 * (white**2).sum(axis=-1) - size - 9 * math.log(2 * math.pi)
+WIDER = (0.92, 1.05), (0.08, 1.8)
+"""Weights and spreads of each whitened number of a proposal: law by law, its tails outlast those of a mixture."""
 
 
-def around(forecast: Forecast, observation: Observation, angles: bool, inflation: float) -> Proposal:
-    """A Gaussian fitted to the samples at each step, in positions or in posture coordinates, made wider."""
-    points = observation.to_torso(forecast.samples)
+def around(forecast: Forecast, observation: Observation, angles: bool) -> Proposal:
+    """What was fitted to the samples at each step, in positions or in posture coordinates, made wider."""
     if angles:
-        last = postures_from_points(observation.points, continuous=True)[-1]
-        start = np.broadcast_to(last, (len(points), 18))
+        points = observation.to_torso(forecast.samples)
+        start = np.broadcast_to(postures_from_points(observation.points, continuous=True)[-1], (len(points), 18))
         coordinates = coordinates_from_postures(postures_from_points(points, start, continuous=True))
     else:
-        coordinates = points.reshape(*points.shape[:2], 18)
+        coordinates = forecast.samples.reshape(*forecast.samples.shape[:2], 18)
     mean = coordinates.mean(axis=0)
     error = coordinates - mean
-    factor = inflation * np.linalg.cholesky(np.einsum("sti,stj->tij", error, error) / len(error))
-    normals = np.random.default_rng(100).standard_normal((POSES, *mean.shape))
-    drawn = mean + np.einsum("tij,ptj->pti", factor, normals)
-    log_density = log_normal(drawn, mean, factor)
+    factor = np.linalg.cholesky(np.einsum("sti,stj->tij", error, error) / len(error))
+    rng = np.random.default_rng(100)
+    (_, narrow), (share, wide) = WIDER
+    white = rng.standard_normal((POSES, *mean.shape))
+    white *= np.where(rng.random(white.shape) < share, wide, narrow)
+    drawn = mean + np.einsum("tij,ptj->pti", factor, white)
+    parts = [math.log(weight) + norm.logpdf(white, scale=spread) for weight, spread in WIDER]
+    log_density = np.logaddexp(*parts).sum(axis=-1) - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=-1)
     if not angles:
-        return Proposal(observation.to_world(drawn.reshape(POSES, -1, 6, 3)), log_density)
+        return Proposal(drawn.reshape(POSES, -1, 6, 3), log_density)
     postures = postures_from_coordinates(drawn)
     # Coordinates to angles: θ4 an arm; angles to points: the Jacobian.
     log_density += np.log(postures[..., 9]) + np.log(postures[..., 15]) - log_det_jacobian(postures)
@@ -124,7 +125,7 @@ def test_free_densities_integrate_to_one(
     trained: dict[str, Method[Any]], posed: Observation, name: str, angles: bool
 ) -> None:
     method = trained[name]
-    proposal = around(forecast_in_scene(method, None, posed, np.random.default_rng(0), 4000, None), posed, angles, 1.12)
+    proposal = around(forecast_in_scene(method, None, posed, np.random.default_rng(0), 4000, None), posed, angles)
     density = forecast_in_scene(method, None, posed, np.random.default_rng(1), 200, None).density
     assert_integrates_to_one(density, proposal, 0.08)
 
@@ -152,7 +153,7 @@ def test_constrained_gaussian_densities_integrate_to_one(
 @pytest.mark.parametrize("noise", [1e-4, 0.002])
 def test_constrained_series_integrate_to_one(trained: dict[str, Method[Any]], posed: Observation, noise: float) -> None:
     method = replace(trained["gp_constrained"], limits=narrow(posed, 0.1), noise=noise)
-    proposal = around(forecast_in_scene(method, None, posed, np.random.default_rng(4), 4000, None), posed, True, 1.15)
+    proposal = around(forecast_in_scene(method, None, posed, np.random.default_rng(4), 4000, None), posed, True)
     density = forecast_in_scene(method, None, posed, np.random.default_rng(5), 120, None).density
     assert_integrates_to_one(density, proposal, 0.12)
 
@@ -161,7 +162,7 @@ def test_constrained_series_integrate_to_one(trained: dict[str, Method[Any]], po
 def test_series_within_a_scene_integrate_to_one(trained: dict[str, Method[Any]], posed: Observation) -> None:
     method = trained["gp_constrained"]
     free = forecast_in_scene(method, None, posed, np.random.default_rng(6), 4000, None)
-    proposal = around(free, posed, True, 1.12)
+    proposal = around(free, posed, True)
     forecast = forecast_in_scene(method, None, posed, np.random.default_rng(7), 300, obstacles(posed))
     assert forecast.accepted[-1] < 0.9
     assert_integrates_to_one(forecast.density, proposal, 0.15)

@@ -9,17 +9,39 @@ import pytest
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
-from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, mixture_radius
-from kinecast.prediction.kinecast.experts import DAMPED, TRIVIAL, forecasts, trivial_experts
-from kinecast.prediction.kinecast.features import arm_views, time_basis
+from kinecast.errors import ModelError
+from kinecast.prediction.density import GaussianMixture, PoseDensity
+from kinecast.prediction.kinecast.error_model import LEVEL, SCALES, AdaptiveScale, fit_error_model, mixture_radius
+from kinecast.prediction.kinecast.experts import (
+    DAMPED,
+    TRIVIAL,
+    Expert,
+    expert_from_arrays,
+    fit_network,
+    fit_radial_basis,
+    forecasts,
+    trivial_experts,
+)
+from kinecast.prediction.kinecast.features import arm_views, time_basis, yaw_frame
 from kinecast.prediction.kinecast.fit import KinecastOptions, fitting_kinecast
-from kinecast.prediction.kinecast.model import Kinecast, ablations, kinecast_from_arrays
+from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, ablations, kinecast_from_arrays
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
-from kinecast.prediction.kinecast.weights import HALF_LIVES, LEADS, LONG_RUN, fallback_weights
+from kinecast.prediction.kinecast.weights import (
+    HALF_LIVES,
+    LEADS,
+    LONG_RUN,
+    Gate,
+    GateInputs,
+    fallback_weights,
+    fit_gate,
+)
 from kinecast.prediction.method import forecast_in_scene
+from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.tasks import Progress, Serial
 
+SWAP = [3, 4, 5, 0, 1, 2]
+MIRROR = np.array([1.0, -1.0, 1.0])
 SMALL = KinecastOptions(pseudo_inputs=12, network_steps=20, folds=2, networks=1)
 NOISE = 0.002
 
@@ -28,6 +50,11 @@ def fit_kinecast(windows: TrainingWindows, options: KinecastOptions, progress: P
     workers = Serial()
     fitted = fitting_kinecast(workers, windows, windows, JointLimits(), NOISE, options)
     return workers.results([fitted], progress)[0]
+
+
+def card(method: Kinecast) -> ModelCard:
+    assert method.limits is not None
+    return ModelCard("kinecast", method.frames, method.steps, 1.0 / method.dt, limits=method.limits, noise=NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +77,7 @@ class TestTraining:
         assert told == [(done, told[-1][1]) for done in range(1, told[-1][1] + 1)]
 
     def test_it_is_the_same_from_its_arrays(self, method: Kinecast, observation: Observation) -> None:
-        again = kinecast_from_arrays(method.to_arrays(), method.frames, method.steps, method.dt, NOISE, method.limits)
+        again = kinecast_from_arrays(method.to_arrays(), card(method))
         one, other = (
             forecast_in_scene(each, each.init_state(), observation, np.random.default_rng(3), 50, None)
             for each in (method, again)
@@ -60,7 +87,7 @@ class TestTraining:
 
     def test_a_model_of_other_steps_is_refused(self, method: Kinecast) -> None:
         with pytest.raises(ValueError, match="steps"):
-            kinecast_from_arrays(method.to_arrays(), method.frames, method.steps + 1, method.dt, NOISE, None)
+            kinecast_from_arrays(method.to_arrays(), replace(card(method), steps=method.steps + 1))
 
 
 class TestForecast:
@@ -83,11 +110,10 @@ class TestForecast:
         np.testing.assert_allclose(other.samples, one.samples @ turn.T + shift, atol=1e-6)
 
     def test_left_and_right_are_the_same_in_a_mirror(self, method: Kinecast, observation: Observation) -> None:
-        mirror = np.array([1.0, -1.0, 1.0])
-        swapped = observation.positions[:, [3, 4, 5, 0, 1, 2]] * mirror
+        swapped = observation.positions[:, SWAP] * MIRROR
         one = forecasts(method.mixture.experts, observation.positions[None], method.steps)[0]
         other = forecasts(method.mixture.experts, swapped[None], method.steps)[0]
-        np.testing.assert_allclose(other, one[:, :, [3, 4, 5, 0, 1, 2]] * mirror, atol=1e-9)
+        np.testing.assert_allclose(other, one[:, :, SWAP] * MIRROR, atol=1e-9)
 
     def test_noise_given_by_the_camera_widens_it(self, method: Kinecast, observation: Observation) -> None:
         noisy = replace(observation, noise=np.full(6, 0.05))
@@ -104,6 +130,223 @@ class TestForecast:
             forecast = forecast_in_scene(part, part.init_state(), observation, np.random.default_rng(0), 20, None)
             assert np.isfinite(forecast.samples).all(), name
             assert np.isfinite(forecast.density.log_prob(forecast.mean)).all(), name
+
+    def test_equal_seeds_and_histories_give_equal_forecasts(self, method: Kinecast, windows: TrainingWindows) -> None:
+        def after(seed: int) -> np.ndarray:
+            state = method.init_state()
+            for row in range(4):
+                seen = Observation(windows.observed[row], windows.up[row], windows.dt, row * 4 * windows.dt)
+                state = method.update(state, seen, windows.observed[row, -1])
+            return method.forecast(state, seen, np.random.default_rng(seed), 20).samples
+
+        np.testing.assert_array_equal(after(1), after(1))
+        assert not np.array_equal(after(1), after(2))
+
+    def test_free_samples_and_density_are_one_law(self, method: Kinecast, observation: Observation) -> None:
+        free = replace(method, limits=None)
+        forecast = forecast_in_scene(free, free.init_state(), observation, np.random.default_rng(0), 6000, None)
+        assert isinstance(forecast.density, PoseDensity)
+        law = forecast.density.blocks
+        assert isinstance(law, GaussianMixture)
+        drawn = observation.to_torso(forecast.samples)[:, :, [0, 3, 1, 2, 4, 5]].reshape(6000, -1, 18)
+        variance = (law.factor[0] ** 2).sum(axis=-1) * float(law.scale_weights @ law.scales**2)
+        np.testing.assert_allclose(drawn.std(axis=0), np.sqrt(variance), rtol=0.15)
+        np.testing.assert_allclose(drawn.mean(axis=0), law.mean[0], atol=6 * np.sqrt(variance.max() / 6000))
+        # Half of all samples lie where the density is above its median, by whatever samples it is taken.
+        log_prob = np.array([forecast.density.log_prob(pose) for pose in forecast.samples[::10]])
+        above = (log_prob[::2] > np.median(log_prob[1::2], axis=0)).mean(axis=0)
+        assert (np.abs(above - 0.5) < 4 * 0.5 * np.sqrt(2 / 300)).all()
+
+    def test_somebody_who_stands_still_is_left_where_they_are(self, method: Kinecast, observation: Observation) -> None:
+        rng, state = np.random.default_rng(0), method.init_state()
+        pose = observation.positions[-1]
+        for frame in range(60):
+            window = pose + 0.001 * rng.standard_normal(observation.positions.shape)
+            seen = replace(observation, positions=window, stamp=frame * method.dt)
+            state = method.update(state, seen, window[-1])
+        mean = method.forecast(state, seen, rng, 10).mean
+        assert np.linalg.norm(mean - pose, axis=-1).max() < 0.01
+
+
+class TestState:
+    def seen(self, method: Kinecast, observation: Observation, frames: list[int]) -> int:
+        """How many frames are remembered after some were seen."""
+        state = method.init_state()
+        for frame in frames:
+            at = replace(observation, stamp=frame * method.dt)
+            state = method.update(state, at, observation.positions[-1])
+        return state.errors.frames
+
+    def test_pauses_are_bridged_until_they_are_too_long(self, method: Kinecast, observation: Observation) -> None:
+        assert self.seen(method, observation, [0, 1, 2]) == 3
+        assert self.seen(method, observation, [0, 1, 5]) == 6  # the three between count as seen without a joint
+        assert self.seen(method, observation, [0, 1, 2 + LONGEST_PAUSE]) == 3 + LONGEST_PAUSE
+        assert self.seen(method, observation, [0, 1, 3 + LONGEST_PAUSE]) == 1
+        assert self.seen(method, observation, [0, 9, 4]) == 1  # time went back
+
+    def test_without_memory_every_frame_is_the_first(self, method: Kinecast, observation: Observation) -> None:
+        assert self.seen(replace(method, remembers=False), observation, [0, 1, 2]) == 1
+
+    def test_frames_with_missing_joints_judge_nothing(self, method: Kinecast, observation: Observation) -> None:
+        state = method.init_state()
+        hidden = observation.positions[-1].copy()
+        hidden[4] = np.nan
+        for frame in range(8):
+            state = method.update(state, replace(observation, stamp=frame * method.dt), hidden)
+        assert state.errors.frames == 8
+        assert np.isnan(state.errors.mean()).all()
+        assert state.adaptive is not None
+        np.testing.assert_array_equal(state.adaptive.factor, 1.0)
+
+
+def lines(seed: int, count: int = 240) -> tuple[np.ndarray, np.ndarray]:
+    """Windows (W, 6, 6, 3) and futures (W, 3, 6, 3) of arms whose joints go straight on, each at its own speed [m]."""
+    rng = np.random.default_rng(seed)
+    left = np.array([[0.0, 0.2, 1.4], [0.0, 0.25, 1.1], [0.2, 0.2, 1.0]])
+    pose = np.concatenate([left, left * MIRROR])
+        0,
+        1,
+        0,
+    ]
+    track = pose + 0.02 * rng.standard_normal((count, 1, 6, 3))
+    track = track + 0.02 * rng.standard_normal((count, 1, 6, 3)) * np.arange(9)[:, None, None]
+    return track[:, :6], track[:, 6:]
+
+
+@pytest.fixture(scope="module")
+def learned() -> dict[str, Expert]:
+    """Both kinds of expert, fitted to straight lines."""
+    observed, future = lines(0)
+    return {
+        "radial basis": fit_radial_basis(observed, future, 12, 0),
+        "network": fit_network(observed, future, 150, 0),
+    }
+
+
+class TestFeatures:
+    def test_the_yaw_frame_turns_with_the_shoulders(self) -> None:
+        observed, _ = lines(1, 20)
+        frame = yaw_frame(observed[:, -1])
+        np.testing.assert_allclose(frame.transpose(0, 2, 1) @ frame, np.broadcast_to(np.eye(3), (20, 3, 3)), atol=1e-12)
+        line = (observed[:, -1, 0] - observed[:, -1, 3])[:, None] @ frame
+        np.testing.assert_allclose(line[:, 0, 0], 0.0, atol=1e-12)  # all of it along y and z
+        assert (line[:, 0, 1] > 0).all()
+        np.testing.assert_array_equal(yaw_frame(np.zeros((6, 3))), np.eye(3))
+
+    def test_they_do_not_tell_where_a_person_stands_and_faces(self) -> None:
+        observed, _ = lines(2, 10)
+        c, s = np.cos(0.7), np.sin(0.7)
+        moved = observed @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + np.array([3.0, -1.0, 0.2])
+        one, other = arm_views(observed), arm_views(moved)
+        for name in ("steps", "pose", "level", "amplitude"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=1e-10, err_msg=name)
+
+    def test_the_right_arm_is_the_left_one_in_a_mirror(self) -> None:
+        observed, _ = lines(3, 10)
+        one, other = arm_views(observed), arm_views(observed[:, :, SWAP] * MIRROR)
+        for name in ("steps", "pose", "level"):
+            left, right = np.split(getattr(one, name), 2)
+            np.testing.assert_allclose(getattr(other, name), np.concatenate([right, left]), atol=1e-12, err_msg=name)
+
+    def test_slow_and_fast_motion_differ_in_amplitude_alone(self) -> None:
+        observed, _ = lines(4, 10)
+        last = observed[:, -1:]
+        one, other = arm_views(observed), arm_views(last + 5.0 * (observed - last))
+        np.testing.assert_allclose(other.amplitude / one.amplitude, 5.0, rtol=0.05)
+        np.testing.assert_allclose(other.steps, one.steps, atol=0.05)
+        np.testing.assert_allclose(other.pose, one.pose, atol=1e-12)
+
+
+class TestExperts:
+    @pytest.mark.parametrize("kind", ["radial basis", "network"])
+    def test_they_learn_that_straight_motion_goes_on(self, learned: dict[str, Expert], kind: str) -> None:
+        observed, future = lines(5, 60)
+        made = forecasts([learned[kind]], observed, 3)
+        error = np.linalg.norm(made - future[:, None], axis=-1).mean(axis=(0, 2, 3))
+        assert error[-1] < 0.2 * error[0]  # the first of the trivial ones stands still
+
+    @pytest.mark.parametrize("kind", ["radial basis", "network"])
+    def test_they_come_back_from_their_arrays(self, learned: dict[str, Expert], kind: str) -> None:
+        observed, _ = lines(6, 5)
+        arrays = learned[kind].to_arrays()
+        again = expert_from_arrays(arrays)
+        np.testing.assert_array_equal(forecasts([again], observed, 3), forecasts([learned[kind]], observed, 3))
+        del arrays["scale.pose_mean"]
+        with pytest.raises(ModelError, match=r"scale\.pose_mean"):
+            expert_from_arrays(arrays)
+
+
+class TestGate:
+    def test_weights_sum_to_one_and_go_with_lower_errors(self) -> None:
+        rng = np.random.default_rng(0)
+        gate = Gate(0.3 * rng.standard_normal((8, 3, 3)), np.zeros((5, 3)), 0.3 * rng.standard_normal((8, 5, 3)))
+        gate.share[:, 0] = 1.0
+        inputs = GateInputs(rng.standard_normal((8, 6, 5)), rng.standard_normal((6, 5)))
+        weights = gate.weights(inputs, 15)
+        np.testing.assert_allclose(weights.sum(axis=0), 1.0)
+        assert (weights > 0).all()
+        inputs.errors[3, 2] -= 1.0  # one expert does better on one joint
+        better = gate.weights(inputs, 15)
+        assert (better[3, :, 2] > weights[3, :, 2]).all()
+        np.testing.assert_array_equal(np.delete(better, 2, axis=2), np.delete(weights, 2, axis=2))
+
+    def test_it_learns_whom_to_trust(self) -> None:
+        rng = np.random.default_rng(1)
+        futures = 0.1 * rng.standard_normal((300, 3, 6, 3))
+        made = futures[:, None] + 0.1 * rng.standard_normal((300, 4, 3, 6, 3))
+        made[:, 2] = futures + 0.001
+        gate = fit_gate(np.zeros((300, 4, 6, 4)), np.zeros((300, 6, 5)), made, futures, seed=0)
+        weights = gate.weights(GateInputs(np.zeros((4, 6, 4)), np.zeros((6, 5))), 3)
+        assert (weights[2] > 0.8).all()
+
+
+def heavy_tailed(seed: int, count: int = 1500) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors (B, T, 6, 3) whose size follows a feature and whose axes differ; features (B, 6, F); speeds (B, 6)."""
+    rng = np.random.default_rng(seed)
+    features = np.concatenate([np.ones((count, 6, 1)), rng.uniform(-1.0, 1.0, (count, 6, 1))], axis=2)
+    scale = 0.02 * np.exp(features[..., 1]) * rng.choice([0.5, 1.0, 2.0], (count, 1))
+    errors = scale[:, None, :, None] * rng.standard_normal((count, 3, 6, 3)) * np.array([1.0, 0.5, 2.0])
+    return errors, features, rng.uniform(0.0, 0.03, (count, 6))
+
+
+class TestErrorModel:
+    def test_regions_hold_what_they_say_on_new_errors(self) -> None:
+        model = fit_error_model(*heavy_tailed(0))
+        errors, features, speeds = heavy_tailed(1)
+        steps, turns = np.arange(3), np.broadcast_to(np.eye(3), (3, 3, 3))
+        z = []
+        for error, feature, speed in zip(errors, features, speeds, strict=True):
+            own = np.einsum("tjd,d->tjd", error, np.ones(3))
+            own[:, 3:] *= MIRROR  # errors were in each arm's own axes
+            z.append(model.whitened(own, model.scale(feature, speed), turns, steps))
+        radius = np.linalg.norm(z, axis=-1)
+        for level in (0.5, LEVEL, 0.9):
+            held = (radius < mixture_radius(model.weights, level)).mean(axis=(0, 2))
+            np.testing.assert_allclose(held, level, atol=0.03)
+        spread = np.reshape(z, (-1, 3)).std(axis=0)
+        np.testing.assert_allclose(spread / spread.mean(), 1.0, atol=0.1)  # the axes' own sizes are gone
+
+    def test_the_scale_follows_its_feature(self) -> None:
+        model = fit_error_model(*heavy_tailed(2))
+        low, high = (model.scale(np.tile([1.0, value], (6, 1)), np.full(6, 0.01)) for value in (-1.0, 1.0))
+        np.testing.assert_allclose(np.log(high / low), 2.0, atol=0.15)
+
+    def test_every_number_keeps_unit_spread_and_whole_motions_hang_together(self) -> None:
+        rng = np.random.default_rng(3)
+        errors = 0.02 * (rng.standard_normal((800, 1, 6, 3)) + 0.1 * rng.standard_normal((800, 5, 6, 3)))
+        model = fit_error_model(errors, np.ones((800, 6, 1)), np.full((800, 6), 0.01))
+        np.testing.assert_allclose(np.linalg.norm(model.factor, axis=-1), 1.0)
+        correlation = np.einsum("jdr,jdr->jd", model.factor[0], model.factor[-1])
+        assert (correlation > 0.9).all()
+
+    def test_drawn_errors_have_the_stated_covariance_and_whiten_to_unit_spread(self, method: Kinecast) -> None:
+        model, rng = method.error_model, np.random.default_rng(4)
+        scale, turn = np.full((method.steps, 6), 0.03), yaw_frame(np.array([[0.3, 0.4, 0]] + [[0, 0, 0]] * 5))
+        factor = model.factor_in(scale, turn)
+        draws = np.tensordot(rng.standard_normal((factor.shape[-1], 3000)), factor, axes=(0, 3))
+        turns = np.broadcast_to(turn, (method.steps, 3, 3))
+        z = np.array([model.whitened(draw, scale, turns, np.arange(method.steps)) for draw in draws])
+        np.testing.assert_allclose(z.std(axis=0), 1.0, atol=5 / np.sqrt(2 * 3000))
 
 
 class TestParts:
@@ -136,6 +379,34 @@ class TestParts:
         np.testing.assert_allclose(errors.mean()[0, :, 1, 0], 2 * np.sqrt(3.0))
         errors.observe(np.full((6, 3), np.nan))
         np.testing.assert_allclose(errors.mean()[0, :, 0, 0], np.sqrt(3.0))
+
+    def test_old_errors_are_forgotten_and_pauses_judge_nothing(self) -> None:
+        errors = RollingForecastErrors(1, (2,), (5.0, 1e9))
+        assert np.isnan(errors.mean()).all()
+
+        def frame(error: float) -> None:
+            errors.observe(np.zeros((6, 3)))
+            errors.predicted(np.full((1, 2, 6, 3), error / np.sqrt(3.0)))
+
+        for error in (1.0, 1.0, 1.0, 0.0, 0.0, 0.0):
+            frame(error)
+        quick, slow = errors.mean()[0, 0, 0]
+        assert quick < slow == pytest.approx(3 / 4)
+        errors.skip(2)  # of the four predictions that could come due, none does
+        np.testing.assert_allclose(errors.mean()[0, 0, 0], [quick, slow])
+        frame(9.0)
+        frame(9.0)
+        np.testing.assert_allclose(errors.mean()[0, 0, 0], [quick, slow])
+        frame(9.0)
+        assert errors.mean()[0, 0, 0, 1] == pytest.approx(12 / 5)
+
+    def test_after_a_pause_of_the_horizon_the_spread_is_judged_by_nothing(self, method: Kinecast) -> None:
+        steps = method.steps
+        scale = AdaptiveScale(method.error_model, steps)
+        scale.predicted(np.zeros((steps, 6, 3)), np.ones((steps, 6)), np.eye(3))
+        scale.skip(steps)
+        scale.observe(np.full((6, 3), 10.0))
+        np.testing.assert_array_equal(scale.factor, 1.0)
 
     @pytest.mark.parametrize("better", [0, 1, TRIVIAL])
     def test_the_fallback_goes_with_whoever_errs_least(self, better: int) -> None:

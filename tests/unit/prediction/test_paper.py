@@ -15,7 +15,7 @@ from kinecast.geometry.shapes import Sphere
 from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.paper import PostureSeries
-from kinecast.prediction.rollout import LENGTHS, SERIES
+from kinecast.prediction.rollout import BONES, SERIES
 
 EVERYTHING = AngleLimit(-2 * math.pi, 2 * math.pi, math.inf)
 LOOSE = JointLimits(EVERYTHING, EVERYTHING, EVERYTHING, EVERYTHING)
@@ -59,14 +59,14 @@ def test_bones_keep_their_last_length_to_within_what_they_varied_by(
 ) -> None:
     method = trained["gp_constrained"]
     samples = posed.to_torso(forecast_in_scene(method, None, posed, np.random.default_rng(2), 2000, None).samples)
-    last = postures_from_points(posed.points, continuous=True)[-1, list(LENGTHS)]
+    last = postures_from_points(posed.points, continuous=True)[-1, BONES]
     bones = np.stack([np.linalg.norm(samples[:, :, b] - samples[:, :, a], axis=-1) for a, b in
                       ((0, 1), (1, 2), (3, 4), (4, 5))], axis=-1)  # fmt: skip
     # Standard errors of a mean and of a standard deviation.
     spread = method.length_spread
     assert (np.abs(bones.mean(axis=0) - last) < 4 * spread / math.sqrt(2000)).all()
     assert (np.abs(bones.std(axis=0) / spread - 1) < 4 / math.sqrt(4000)).all()
-    stray = postures_from_points(windows.future_points, continuous=True)[:, :, list(LENGTHS)]
+    stray = postures_from_points(windows.future_points, continuous=True)[:, :, BONES]
     assert (spread < 3 * stray.std(axis=(0, 1))).all()
 
 
@@ -108,13 +108,13 @@ def test_a_process_sees_the_last_values_of_its_own_series_alone(
     before, after = (
         forecast_in_scene(trained["gp_angles"], None, o, np.random.default_rng(6), 40, None) for o in (posed, changed)
     )
-    first = before.density.blocks.means[:, 0], after.density.blocks.means[:, 0]
+    first = before.density.blocks.rollout.means[:, 0], after.density.blocks.rollout.means[:, 0]
     differs = np.abs(first[0] - first[1]).max(axis=0) > 1e-9
     assert set(np.flatnonzero(differs)) <= {14, 15}
     assert differs.any()
 
 
 def test_there_is_a_process_for_all_but_the_bones(trained: dict[str, Method[Any]]) -> None:
-    assert set(range(18)) - set(SERIES) == set(LENGTHS)
+    assert set(range(18)) - set(SERIES) == set(BONES)
     assert trained["gp_angles"].processes.centre.shape == (len(SERIES),)
     assert trained["gp_xyz"].processes.centre.shape == (18,)

@@ -10,10 +10,15 @@ import pytest
 from scipy import stats
 
 from kinecast.body.limits import AngleLimit, JointLimits, bounds, posture_bounds, violations
-from kinecast.body.posture import ANGLES, coordinates_from_postures, postures_from_points
+from kinecast.body.posture import (
+    ANGLES,
+    coordinates_from_postures,
+    postures_from_coordinates,
+    postures_from_points,
+)
 from kinecast.prediction.method import Method
 from kinecast.prediction.observation import Observation
-from kinecast.prediction.rollout import UNIFORM, polar, roll_gaussian, roll_positions, roll_series
+from kinecast.prediction.rollout import UNIFORM, Bounds, Rollout, hold, polar, roll_positions, roll_series
 
 DT = 1.0 / 30.0
 T = 3
@@ -41,6 +46,19 @@ def noise(rng: np.random.Generator, draws: int) -> tuple[np.ndarray, np.ndarray]
     return rng.standard_normal((draws, 18 * T)), rng.random((draws, T, 8))
 
 
+def rolled(
+    mean: np.ndarray,
+    factor: np.ndarray,
+    initial: np.ndarray,
+    normals: np.ndarray,
+    uniforms: np.ndarray,
+    within: Bounds,
+) -> np.ndarray:
+    """Draws of the joint Gaussian, held inside bounds."""
+    drawn = postures_from_coordinates(mean + (normals @ factor.T).reshape(len(normals), T, 18))
+    return hold(drawn, mean, np.linalg.norm(factor, axis=1).reshape(T, 18), initial, uniforms, within, DT)
+
+
 def assert_inside(postures: np.ndarray, initial: np.ndarray, limits: JointLimits) -> None:
     """Every angle within Eq. 4's bounds from the draw before it, to the last bit."""
     lower, upper, speed = limits.of_posture()
@@ -57,7 +75,7 @@ def assert_inside(postures: np.ndarray, initial: np.ndarray, limits: JointLimits
 def test_every_gaussian_draw_is_inside_the_bounds_of_equation_4(spread: float) -> None:
     rng = np.random.default_rng(0)
     mean, factor = gaussian(rng, spread)
-    postures = roll_gaussian(mean, factor, START, *noise(rng, 150), posture_bounds(TIGHT), DT)
+    postures = rolled(mean, factor, START, *noise(rng, 150), posture_bounds(TIGHT))
     assert np.isfinite(postures).all()
     assert_inside(postures, START, TIGHT)
     for broken in violations(postures, START, DT, TIGHT):
@@ -68,7 +86,7 @@ def test_every_gaussian_draw_is_inside_the_bounds_of_equation_4(spread: float) -
 def test_a_mean_far_outside_is_held_at_the_edge(shift: float) -> None:
     rng = np.random.default_rng(1)
     mean, factor = gaussian(rng, 0.01)
-    postures = roll_gaussian(mean + shift, factor, START, *noise(rng, 50), posture_bounds(TIGHT), DT)
+    postures = rolled(mean + shift, factor, START, *noise(rng, 50), posture_bounds(TIGHT))
     assert_inside(postures, START, TIGHT)
     lower, upper, speed = TIGHT.of_posture()
     edge = bounds(lower[6], upper[6], speed[6], START[6], DT)[int(shift > 0)]
@@ -80,7 +98,7 @@ def test_a_start_outside_its_range_comes_back_at_full_speed() -> None:
     outside = START.copy()
     outside[[6, 9, 12]] = [0.9, 1.9, -1.4]
     mean, factor = gaussian(rng, 0.1)
-    postures = roll_gaussian(mean, factor, outside, *noise(rng, 100), posture_bounds(TIGHT), DT)
+    postures = rolled(mean, factor, outside, *noise(rng, 100), posture_bounds(TIGHT))
     assert_inside(postures, outside, TIGHT)
     reach = 2.0 * DT * np.arange(1, T + 1)
     np.testing.assert_allclose(postures[:, :, 6], np.broadcast_to(0.9 - reach, (100, T)), atol=1e-12)
@@ -92,7 +110,7 @@ def test_without_bounds_draws_are_the_joint_gaussian() -> None:
     rng = np.random.default_rng(3)
     mean, factor = gaussian(rng, 0.03)
     count = 4000
-    postures = roll_gaussian(mean, factor, START, *noise(rng, count), FREE, DT)
+    postures = rolled(mean, factor, START, *noise(rng, count), FREE)
     drawn = coordinates_from_postures(postures).reshape(count, -1)
     covariance = factor @ factor.T
     deviation = np.sqrt(np.diag(covariance))
@@ -106,7 +124,7 @@ def test_without_bounds_draws_are_the_linear_map_of_their_normals() -> None:
     rng = np.random.default_rng(4)
     mean, factor = gaussian(rng, 0.05)
     normals, uniforms = noise(rng, 30)
-    postures = roll_gaussian(mean, factor, START, normals, uniforms, FREE, DT)
+    postures = rolled(mean, factor, START, normals, uniforms, FREE)
     expected = mean + (normals @ factor.T).reshape(30, T, 18)
     np.testing.assert_allclose(coordinates_from_postures(postures), expected, atol=1e-12)
 
@@ -117,8 +135,8 @@ def test_limits_that_never_bind_change_nothing() -> None:
     draws = noise(rng, 50)
     wide = JointLimits()
     np.testing.assert_array_equal(
-        roll_gaussian(mean, factor, START, *draws, posture_bounds(wide), DT),
-        roll_gaussian(mean, factor, START, *draws, FREE, DT),
+        rolled(mean, factor, START, *draws, posture_bounds(wide)),
+        rolled(mean, factor, START, *draws, FREE),
     )
 
 
@@ -126,7 +144,7 @@ def test_where_a_bound_binds_the_first_step_follows_the_truncated_normal() -> No
     rng = np.random.default_rng(6)
     mean = np.repeat(coordinates_from_postures(START)[None], T, axis=0)
     factor = 0.05 * np.eye(18 * T)
-    postures = roll_gaussian(mean, factor, START, *noise(rng, 4000), posture_bounds(TIGHT), DT)
+    postures = rolled(mean, factor, START, *noise(rng, 4000), posture_bounds(TIGHT))
     lower, upper, speed = TIGHT.of_posture()
     for d in (6, 7, 12, 13):
         lb, ub = bounds(lower[d], upper[d], speed[d], START[d], DT)
@@ -139,25 +157,11 @@ def test_where_a_bound_binds_the_first_step_follows_the_truncated_normal() -> No
         assert stats.kstest(postures[:, 0, d], peer.cdf).statistic < 0.05
 
 
-def test_a_redrawn_step_moves_what_hangs_on_it() -> None:
-    # Steps of θ1 are one and the same error: held at its bound, it must stay there.
-    factor = 1e-6 * np.eye(18 * T)
-    for t in range(T):
-        factor[18 * t + 6, 6] = 0.5
-    mean = np.repeat(coordinates_from_postures(START)[None], T, axis=0)
-    normals = np.zeros((1, 18 * T))
-    normals[0, 6] = 4.0
-    limits = JointLimits(flexion=AngleLimit(-1.0, 0.5, 12.0))
-    postures = roll_gaussian(mean, factor, START, normals, np.full((1, T, 8), 0.5), posture_bounds(limits), DT)
-    np.testing.assert_allclose(postures[0, 1:, 6], postures[0, 0, 6], atol=1e-4)
-    assert START[6] - 12 * DT <= postures[0, 0, 6] <= 0.5
-
-
 def test_wrist_speed_binds_through_the_jacobian() -> None:
     rng = np.random.default_rng(7)
     mean, factor = gaussian(rng, 1.0)
     slow = JointLimits(wrist_speed=0.3)
-    postures = roll_gaussian(mean, factor, START, *noise(rng, 60), posture_bounds(slow), DT)
+    postures = rolled(mean, factor, START, *noise(rng, 60), posture_bounds(slow))
     position, speed = violations(postures, START, DT, slow)
     assert not position.any()
     assert not speed.any()
@@ -172,7 +176,7 @@ def test_at_a_straight_elbow_draws_stay_finite_and_inside() -> None:
     mean = np.repeat(coordinates_from_postures(straight)[None], T, axis=0)
     for factor in (0.05 * np.eye(18 * T), gaussian(rng, 0.05)[1]):
         limits = JointLimits(axial_rotation=AngleLimit(-0.7, 0.2, 12.0))
-        postures = roll_gaussian(mean, factor, straight, *noise(rng, 200), posture_bounds(limits), DT)
+        postures = rolled(mean, factor, straight, *noise(rng, 200), posture_bounds(limits))
         assert np.isfinite(postures).all()
         assert_inside(postures, straight, limits)
         assert (postures[:, :, [9, 15]] >= 0.0).all()
@@ -181,14 +185,14 @@ def test_at_a_straight_elbow_draws_stay_finite_and_inside() -> None:
 def test_bones_never_shrink_to_nothing() -> None:
     rng = np.random.default_rng(9)
     mean = np.repeat(coordinates_from_postures(START)[None], T, axis=0)
-    postures = roll_gaussian(mean, np.eye(18 * T), START, *noise(rng, 100), FREE, DT)
+    postures = rolled(mean, np.eye(18 * T), START, *noise(rng, 100), FREE)
     assert postures[:, :, [5, 10, 11, 16, 17]].min() == 0.05
 
 
 def test_no_draws_are_no_trouble() -> None:
     rng = np.random.default_rng(10)
     mean, factor = gaussian(rng, 0.1)
-    assert roll_gaussian(mean, factor, START, *noise(rng, 0), FREE, DT).shape == (0, T, 18)
+    assert rolled(mean, factor, START, *noise(rng, 0), FREE).shape == (0, T, 18)
 
 
 def test_polar_is_first_order_away_from_a_straight_elbow() -> None:
@@ -214,22 +218,22 @@ def test_polar_never_says_more_than_that_nothing_is_known(a: float, b: float, sd
 
 def series_draws(
     method: Method, observation: Observation, limits: JointLimits | None, draws: int, noise_sd: float = 0.0
-) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-    """Postures, means, spreads of roll_series; the normals behind them; the last observed posture."""
+) -> tuple[Rollout, np.ndarray, np.ndarray]:
+    """What roll_series gives; the normals behind them; the last observed posture."""
     rng = np.random.default_rng(12)
     track = postures_from_points(observation.points, continuous=True)
     normals = rng.standard_normal((draws, method.steps, 18))
     offsets = noise_sd * rng.standard_normal((draws, 18))
     uniforms = rng.random((draws, method.steps, 8))
-    rolled = roll_series(
+    made = roll_series(
         coordinates_from_postures(track), offsets, method.processes, method.length_spread, track[-1],
         normals, uniforms, posture_bounds(limits), method.dt,
     )  # fmt: skip
-    return rolled, normals, track[-1]
+    return made, normals, track[-1]
 
 
 def test_free_series_are_their_means_and_spreads(trained: dict[str, Method[Any]], observation: Observation) -> None:
-    (postures, means, spreads), normals, initial = series_draws(trained["gp_angles"], observation, None, 70)
+    (postures, means, spreads, *_), normals, initial = series_draws(trained["gp_angles"], observation, None, 70)
     angles = [0, 1, 2, 3, 4, 5, *ANGLES]
     np.testing.assert_allclose(postures[..., angles], (means + spreads * normals)[..., angles], atol=1e-12)
     assert (spreads > 0).all()
@@ -242,7 +246,7 @@ def test_free_series_are_their_means_and_spreads(trained: dict[str, Method[Any]]
 
 def test_the_number_of_draws_does_not_change_a_draw(trained: dict[str, Method[Any]], observation: Observation) -> None:
     for count in (1, 3, 17):
-        (some, _, _), normals, _ = series_draws(trained["gp_constrained"], observation, JointLimits(), count)
+        (some, *_), normals, _ = series_draws(trained["gp_constrained"], observation, JointLimits(), count)
         assert some.shape == (count, trained["gp_angles"].steps, 18)
         assert normals.shape == some.shape
         assert np.isfinite(some).all()
@@ -254,7 +258,7 @@ def test_every_series_draw_is_inside_the_bounds_of_equation_4(
 ) -> None:
     initial = np.array([0.1, 0.3, -0.5, 0.6])
     tight = JointLimits(*(AngleLimit(a - 0.4, a + 0.01, 1.0) for a in initial))
-    (postures, _, _), _, start = series_draws(trained["gp_angles"], posed, tight, 150, noise_sd)
+    (postures, *_), _, start = series_draws(trained["gp_angles"], posed, tight, 150, noise_sd)
     assert_inside(postures, start, tight)
 
 

@@ -8,7 +8,7 @@ samples are whole motions, and one common factor, drawn anew for each sample, th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,8 +18,7 @@ from kinecast.geometry.transforms import lengths
 from kinecast.prediction.kinecast.experts import TRIVIAL
 from kinecast.prediction.kinecast.features import MIRROR, WindowMotion
 from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs
-
-__all__ = ["LEVEL", "SCALES", "SIDES", "AdaptiveScale", "ErrorModel", "error_features", "fit_error_model"]
+from kinecast.prediction.model_file import Arrays
 
 LEVEL = 0.8
 """The region whose coverage is held."""
@@ -45,17 +44,12 @@ SIDES = np.stack([np.eye(3)] * 3 + [np.diag(MIRROR)] * 3)
 def mixture_radius(weights: Float[np.ndarray, " K"], level: float) -> float:
     """Radius that holds a share of a three-dimensional scale mixture of unit normals."""
 
-    def held(radius: float) -> float:
-        share = 0.0
-        for weight, scale in zip(weights.tolist(), SCALES.tolist(), strict=True):
-            r = radius / scale
-            share += weight * (math.erf(r / math.sqrt(2.0)) - math.sqrt(2.0 / math.pi) * r * math.exp(-0.5 * r * r))
-        return share
-
     low, high = 0.0, 60.0
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if held(middle) < level else (low, middle)
+        radii = (middle / SCALES).tolist()
+        ball = [math.erf(r / math.sqrt(2.0)) - math.sqrt(2.0 / math.pi) * r * math.exp(-0.5 * r * r) for r in radii]
+        low, high = (middle, high) if weights @ ball < level else (low, middle)
     return low
 
 
@@ -67,15 +61,8 @@ def error_features(
     gate: GateInputs,
     due: Float[np.ndarray, "6 L"],
 ) -> Float[np.ndarray, "6 F"]:
-    """(6, F) what the scale depends on, joint by joint.
-
-    Args:
-        window: (N, 6, 3) observed [m].
-        motion: of the window.
-        forecasts: (E, T, 6, 3) of the experts [m].
-        mean: (T, 6, 3) of the mixture [m].
-        gate: the gate's inputs.
-        due: (6, L) mean error of the mixture come due lately [m], NaN while unknown.
+    """(6, F) what the scale depends on, joint by joint: the window, its motion, what experts and mixture forecast [m],
+    the gate's inputs, and the mean error of the mixture come due lately [m], NaN while unknown.
     """
     apart = lengths(forecasts[TRIVIAL:] - mean).mean(axis=(0, 1))
     unknown = np.isnan(due)
@@ -92,7 +79,7 @@ def error_features(
 
 
 @dataclass(frozen=True)
-class ErrorModel:
+class ErrorModel(Arrays):
     """Fitted on errors of recordings that the means were not trained on.
 
     Attributes:
@@ -148,20 +135,12 @@ class ErrorModel:
     def _inverse_axes(self) -> Float[np.ndarray, "T 6 3 3"]:
         return np.linalg.inv(self._axes)
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
 
 class AdaptiveScale:
     """A factor on the spread at each step, moved by whether the truth fell where it should (adaptive conformal).
 
     log factor ← forget · log factor + rate · (share of joints outside the region − (1 − level)), each time a prediction
     comes due (Gibbs and Candès 2021, with leak).
-
-    Args:
-        model: the spread that it follows.
-        steps: T.
     """
 
     def __init__(self, model: ErrorModel, steps: int) -> None:
@@ -178,10 +157,11 @@ class AdaptiveScale:
         """(T,) by which to multiply the spread."""
         return np.exp(self._log)
 
-    def skip(self) -> None:
-        """A frame of which nothing is known."""
-        self._newest = (self._newest + 1) % len(self._known)
-        self._known[self._newest] = False
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        for _ in range(frames):
+            self._newest = (self._newest + 1) % len(self._known)
+            self._known[self._newest] = False
 
     def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
         """Judges what was predicted for this frame; NaN joints judge nothing. The newest was predicted one step ago."""
@@ -197,13 +177,10 @@ class AdaptiveScale:
         self._log[due] = np.clip(moved, -MOST, MOST)
 
     def predicted(
-        self,
-        mean: Float[np.ndarray, "T 6 3"],
-        scale: Float[np.ndarray, "T 6"],
-        rotation: Float[np.ndarray, "3 3"],
+        self, mean: Float[np.ndarray, "T 6 3"], scale: Float[np.ndarray, "T 6"], rotation: Float[np.ndarray, "3 3"]
     ) -> None:
         """Keeps what is predicted from this frame on: mean [m], scale, and the rotation of the person's axes."""
-        self.skip()
+        self.skip(1)
         self._known[self._newest] = True
         self._means[self._newest], self._scales[self._newest], self._rotations[self._newest] = mean, scale, rotation
 
@@ -213,10 +190,7 @@ def fit_error_model(
 ) -> ErrorModel:
     """Scale, shape, correlation, common factor and conformal correction, in this order.
 
-    Args:
-        errors: of the mean, in each arm's own axes [m].
-        features: of `error_features`.
-        speeds: of the joints in the window [m per frame].
+    From errors of the mean in each arm's own axes [m], `error_features`, and speeds of the joints [m per frame].
     """
     steps, inputs = errors.shape[1], features.shape[2]
     slope = np.zeros((3, steps, inputs))

@@ -7,27 +7,18 @@ what is scored.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import cache, cached_property
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import ModelError
 from kinecast.prediction.kinecast.features import FeatureScale, arm_views, time_basis
-
-__all__ = [
-    "TRIVIAL",
-    "Expert",
-    "Network",
-    "RadialBasis",
-    "expert_from_arrays",
-    "fit_network",
-    "fit_radial_basis",
-    "forecasts",
-]
+from kinecast.prediction.linear import slope_weights
+from kinecast.prediction.model_file import Arrays
 
 POSE_SHARE, LEVEL_SHARE = 1.5 / np.sqrt(18.0), 0.7
 """Weights of pose and level among the inputs of the kernel, beside the window's 16 principal components."""
@@ -37,6 +28,9 @@ DAMPED = ((0, 1.0), (2, 16.0), (2, np.inf), (1, 4.0), (3, 12.0))
 """Trivial experts: degree of the polynomial whose slope is the velocity (0: none), and time constant [frames]."""
 TRIVIAL = len(DAMPED)
 
+
+Features: TypeAlias = Float[np.ndarray, "V D"]
+Coefficients: TypeAlias = Float[np.ndarray, "V C"]
 
 BLOCK = 4096
 """Rows handled at once, so that memory stays flat."""
@@ -51,13 +45,12 @@ WIDTH, DROPPED = 256, 0.4
 @cache
 def trivial_experts(frames: int, steps: int) -> Float[np.ndarray, "E T N"]:
     """(E, T, N) weights over the window of each trivial expert's prediction: last + velocity · τ(1 − exp(−t/τ))."""
-    time = np.arange(frames) - (frames - 1.0)
     ahead = np.arange(1.0, steps + 1)
     weights = np.zeros((TRIVIAL, steps, frames))
     for expert, (degree, tau) in zip(weights, DAMPED, strict=True):
         reach = ahead if np.isinf(tau) else -tau * np.expm1(-ahead / tau)
         if degree:
-            expert += np.outer(reach, np.linalg.pinv(np.vander(time, degree + 1, increasing=True))[1])
+            expert += np.outer(reach, slope_weights(frames, degree))
         expert[:, -1] += 1.0
     return weights
 
@@ -78,7 +71,7 @@ def forecasts(
 
 
 @dataclass(frozen=True)
-class RadialBasis:
+class RadialBasis(Arrays):
     """coefficients = [features, 1, k(q, pseudo-inputs)] · weights with the RBF kernel k.
 
     Attributes:
@@ -96,34 +89,21 @@ class RadialBasis:
     lengthscale: float
     weights: Float[np.ndarray, "R C"]
 
-    def coefficients(self, features: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "V C"]:
+    def coefficients(self, features: Features) -> Coefficients:
         inputs = features.shape[1]
         linear = features @ self.weights[:inputs] + self.weights[inputs]
         return linear + self._kernel(features) @ self.weights[inputs + 1 :]
 
-    def regressors(self, features: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "V R"]:
+    def regressors(self, features: Features) -> Float[np.ndarray, "V R"]:
         """(V, D + 1 + M) features, one, kernel: with the weights they make the coefficients."""
         return np.concatenate([features, np.ones((len(features), 1)), self._kernel(features)], axis=1)
 
-    def _kernel(self, features: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "V M"]:
+    def _kernel(self, features: Features) -> Float[np.ndarray, "V M"]:
         q = kernel_inputs(features, self.mean, self.components)
-        square = np.einsum("vq,vq->v", q, q)[:, None] + self._lengths - 2.0 * q @ self.pseudo_inputs.T
+        square = (
+            np.einsum("vq,vq->v", q, q)[:, None] + (self.pseudo_inputs**2).sum(axis=1) - 2.0 * q @ self.pseudo_inputs.T
+        )
         return np.exp((-0.5 / self.lengthscale**2) * np.maximum(square, 0.0))
-
-    @cached_property
-    def _lengths(self) -> Float[np.ndarray, " M"]:
-        return (self.pseudo_inputs**2).sum(axis=1)
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
-        return {
-            **{f"scale.{name}": array for name, array in self.scale.to_arrays().items()},
-            "mean": self.mean,
-            "components": self.components,
-            "pseudo_inputs": self.pseudo_inputs,
-            "lengthscale": np.array(self.lengthscale),
-            "weights": self.weights,
-        }
 
 
 def kernel_inputs(
@@ -137,7 +117,7 @@ def kernel_inputs(
 
 
 @dataclass(frozen=True)
-class Network:
+class Network(Arrays):
     """h = silu(x W1 + b1); h += silu(h W2 + b2); coefficients = h W3 + b3 + x' A, x' without the levels.
 
     W2 is block-diagonal: G networks of U/G hidden units each work side by side, and their mean is what counts.
@@ -152,16 +132,11 @@ class Network:
     b3: Float[np.ndarray, " C"]
     A: Float[np.ndarray, "D2 C"]
 
-    def coefficients(self, features: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "V C"]:
+    def coefficients(self, features: Features) -> Coefficients:
         hidden = _silu(features @ self.W1 + self.b1)
         blocks = hidden.reshape(len(hidden), len(self.W2), -1).transpose(1, 0, 2) @ self.W2
         hidden = hidden + _silu(blocks.transpose(1, 0, 2).reshape(hidden.shape) + self.b2)
         return hidden @ self.W3 + self.b3 + features[:, : len(self.A)] @ self.A
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
-        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "scale"}
-        return {**{f"scale.{name}": array for name, array in self.scale.to_arrays().items()}, **own}
 
     @staticmethod
     def mean_of(networks: Sequence[Network]) -> Network:
@@ -187,22 +162,18 @@ def _silu(x: Float[np.ndarray, "V U"]) -> Float[np.ndarray, "V U"]:
 
 
 def expert_from_arrays(arrays: Mapping[str, np.ndarray]) -> Expert:
-    """The expert that `to_arrays` described.
-
-    Raises:
-        ModelError: arrays of no known expert.
-    """
+    """The expert that `to_arrays` described; ModelError where an array is missing."""
+    kind = RadialBasis if "pseudo_inputs" in arrays else Network
     try:
-        parts = {f.name: np.asarray(arrays[f"scale.{f.name}"], float) for f in fields(FeatureScale)}
-        scale = FeatureScale(float(parts.pop("steps")), **parts)
-        kind = RadialBasis if "pseudo_inputs" in arrays else Network
-        own = {f.name: np.asarray(arrays[f.name], float) for f in fields(kind) if f.name != "scale"}
+        scale = {f.name: _number_or_array(arrays[f"scale.{f.name}"]) for f in fields(FeatureScale)}
+        own = {f.name: _number_or_array(arrays[f.name]) for f in fields(kind) if f.name != "scale"}
     except KeyError as error:
         raise ModelError(f"expert without the array {error}") from None
-    if kind is Network:
-        return Network(scale, **own)
-    lengthscale = float(own.pop("lengthscale"))
-    return RadialBasis(scale=scale, lengthscale=lengthscale, **own)
+    return kind(FeatureScale(**scale), **own)
+
+
+def _number_or_array(array: np.ndarray) -> Any:
+    return np.asarray(array, float) if np.ndim(array) else float(array)
 
 
 class ExpertExamples:
@@ -213,11 +184,14 @@ class ExpertExamples:
         self.scale = FeatureScale.of(views)
         self.features = self.scale.features(views)
         self.amplitude = views.amplitude
-        steps = future.shape[1]
-        self.target = views.to_arms(future).reshape(len(self.features), steps, 9)
-        self.basis = time_basis(steps)
-        inverse = np.linalg.pinv(self.basis)
-        self.coefficients = (inverse @ (self.target / self.amplitude[:, None, None])).reshape(len(self.features), -1)
+        self.basis = time_basis(future.shape[1])
+        self.target = views.to_arms(future).reshape(len(self.features), -1, 9)
+        scaled = np.linalg.pinv(self.basis) @ (self.target / self.amplitude[:, None, None])
+        self.coefficients = scaled.reshape(len(self.features), -1)
+
+    def blocks(self) -> Iterator[slice]:
+        """Rows to be handled at once, so that memory stays flat."""
+        return (slice(start, start + BLOCK) for start in range(0, len(self.features), BLOCK))
 
 
 def fit_radial_basis(
@@ -231,37 +205,30 @@ def fit_radial_basis(
     from kinecast.prediction.sparse_gp import centres
 
     data = ExpertExamples(observed, future)
-    count = len(data.features)
+    count, inputs = data.features.shape
     steps = data.features[:, :-20]
     mean = steps.mean(axis=0)
     _, size, axes = np.linalg.svd((steps - mean)[::3], full_matrices=False)
-    kept = min(COMPONENTS, len(size))
-    components = axes[:kept].T / (size[0] / np.sqrt(count / 3)) * 1.5
+    components = axes[:COMPONENTS].T / (size[0] / np.sqrt(count / 3)) * 1.5
     q = kernel_inputs(data.features, mean, components)
     rng = np.random.default_rng(seed)
     found = centres(rng, q[rng.permutation(count)[: 8 * BLOCK]], min(pseudo_inputs, count // 2))
     some = q[:: max(count // 2000, 1)]
     square = ((some**2).sum(axis=1)[:, None] + (found**2).sum(axis=1) - 2.0 * some @ found.T).clip(0.0)
     lengthscale = 0.7 * float(np.sqrt(np.median(square)))
-    columns = data.features.shape[1] + 1 + len(found)
-    outputs = data.coefficients.shape[1]
-    model = RadialBasis(data.scale, mean, components, found, lengthscale, np.zeros((columns, outputs)))
-    penalty = np.full(columns, 1e-3)
-    penalty[: data.features.shape[1] + 1] = 0.03
+    penalty = np.concatenate([np.full(inputs + 1, 0.03), np.full(len(found), 1e-3)])
+    empty = np.zeros((len(penalty), data.coefficients.shape[1]))
+    model = RadialBasis(data.scale, mean, components, found, lengthscale, empty)
     weight = data.amplitude / data.amplitude.mean()
     for _ in range(ROUNDS + 1):
-        moment, product = np.diag(penalty * count * 1e-2), np.zeros((columns, outputs))
-        for start in range(0, count, BLOCK):
-            rows = slice(start, start + BLOCK)
+        moment, product = np.diag(penalty * count * 1e-2), empty.copy()
+        for rows in data.blocks():
             regressors = model.regressors(data.features[rows])
             weighted = regressors * weight[rows, None]
             moment += regressors.T @ weighted
             product += weighted.T @ data.coefficients[rows]
-        solution = np.linalg.solve(moment, product)
-        model = RadialBasis(data.scale, mean, components, found, lengthscale, solution)
-        weight = np.concatenate(
-            [_reweighted(model, data, slice(start, start + BLOCK)) for start in range(0, count, BLOCK)]
-        )
+        model = replace(model, weights=np.linalg.solve(moment, product))
+        weight = np.concatenate([_reweighted(model, data, rows) for rows in data.blocks()])
         weight = weight / weight.mean()
     return model
 
@@ -283,11 +250,9 @@ def fit_network(
 
     data = ExpertExamples(observed, future)
     inputs, outputs = data.features.shape[1], data.coefficients.shape[1]
-    seen = data.features[:, : inputs - 2]
-    weight = data.amplitude[:, None]
+    seen, weight, rng = data.features[:, :-2], data.amplitude[:, None], np.random.default_rng(seed)
     moment = seen.T @ (seen * weight) + 1e-3 * len(seen) * weight.mean() * np.eye(inputs - 2)
     skip = np.linalg.solve(moment, seen.T @ (data.coefficients * weight))
-    rng = np.random.default_rng(seed)
 
     def layer(before: int, after: int, gain: float) -> Float[np.ndarray, "A B"]:
         return rng.normal(0.0, gain / np.sqrt(before), (before, after))
@@ -296,11 +261,10 @@ def fit_network(
         layer(inputs, WIDTH, 1.0), np.zeros(WIDTH), layer(WIDTH, WIDTH, 1.0), np.zeros(WIDTH),
         layer(WIDTH, outputs, 0.1), np.zeros(outputs), skip,
     ]  # fmt: skip
-    found = descend(
+    W1, b1, W2, *rest = descend(
         _network_loss(data.basis), start, (data.features, data.amplitude, data.target),
         steps=steps, batch=256, rate=2e-3, decay=1e-3, second=0.999, seed=seed,
     )  # fmt: skip
-    W1, b1, W2, *rest = found
     return Network(data.scale, W1, b1, W2[None], *rest)
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.geometry.transforms import lengths
-
-__all__ = ["ArmViews", "FeatureScale", "WindowMotion", "arm_views", "time_basis", "yaw_frame"]
+from kinecast.prediction.model_file import Arrays
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 LEAST_STEP = 0.004
@@ -37,13 +36,11 @@ def yaw_frame(pose: Float[np.ndarray, "*b 6 3"]) -> Float[np.ndarray, "*b 3 3"]:
     """Rotation with z up and y along the shoulder line's horizontal direction, from right to left (columns x, y, z)."""
     x, y = pose[..., 0, 0] - pose[..., 3, 0], pose[..., 0, 1] - pose[..., 3, 1]
     length = np.hypot(x, y)
-    clear = length > 1e-6
-    length = np.where(clear, length, 1.0)
+    x, y = np.where(length > 1e-6, [x, y], [np.zeros_like(x), np.ones_like(y)])  # as if facing along x
+    length = np.where(length > 1e-6, length, 1.0)
     frame = np.zeros((*length.shape, 3, 3))
-    frame[..., 0, 1] = x / length * clear
-    frame[..., 1, 1] = np.where(clear, y / length, 1.0)
-    frame[..., 0, 0], frame[..., 1, 0] = frame[..., 1, 1], -frame[..., 0, 1]
-    frame[..., 2, 2] = 1.0
+    frame[..., 0, 0] = frame[..., 1, 1] = y / length
+    frame[..., 0, 1], frame[..., 1, 0], frame[..., 2, 2] = x / length, -(x / length), 1.0
     return frame
 
 
@@ -82,11 +79,8 @@ class ArmViews:
 def arm_views(windows: Float[np.ndarray, "W N 6 3"]) -> ArmViews:
     """Both arms' views of windows in the world [m], N ≥ 4."""
     last = windows[:, -1]
-    rotation = yaw_frame(last)
-    both = np.concatenate(
-        [np.diff(windows, axis=1), last[:, None] - last[:, None, [0, 3]].mean(axis=2, keepdims=True)], 1
-    )
-    own = both @ rotation[:, None]
+    rotation, middle = yaw_frame(last), last[:, [0, 3]].mean(axis=1, keepdims=True)
+    own = np.concatenate([np.diff(windows, axis=1), (last - middle)[:, None]], axis=1) @ rotation[:, None]
     own = np.concatenate([own, own[:, :, [3, 4, 5, 0, 1, 2]] * MIRROR])
     steps, pose = own[:, :-1].reshape(len(own), -1, 18), own[:, -1].reshape(len(own), 18)
     jerk = np.diff(steps, n=2, axis=1)
@@ -131,7 +125,7 @@ class WindowMotion:
 
 
 @dataclass(frozen=True)
-class FeatureScale:
+class FeatureScale(Arrays):
     """Standardisation of the features, fitted on training windows.
 
     Attributes:
@@ -159,23 +153,7 @@ class FeatureScale:
 
     def features(self, views: ArmViews) -> Float[np.ndarray, "V D"]:
         """(V, D) steps, then pose, then levels; poses and levels never seen in training are held at the edge."""
-        size = views.steps.shape[1]
-        features = np.empty((len(views.steps), size + 20))
-        np.divide(views.steps, self.steps, out=features[:, :size])
-        pose, level = (
-            (views.pose - self.pose_mean) / self.pose_spread,
-            (views.level - self.level_mean) / self.level_spread,
-        )
-        np.minimum(np.maximum(pose, -3.0), 3.0, out=features[:, size : size + 18])
-        np.minimum(np.maximum(level, -2.5), 2.5, out=features[:, size + 18 :])
-        return features
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
-        return {
-            "steps": np.array(self.steps),
-            "pose_mean": self.pose_mean,
-            "pose_spread": self.pose_spread,
-            "level_mean": self.level_mean,
-            "level_spread": self.level_spread,
-        }
+        pose = (views.pose - self.pose_mean) / self.pose_spread
+        level = (views.level - self.level_mean) / self.level_spread
+        held = [np.minimum(np.maximum(pose, -3.0), 3.0), np.minimum(np.maximum(level, -2.5), 2.5)]
+        return np.concatenate([views.steps / self.steps, *held], axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,10 +19,10 @@ from kinecast.prediction.kinecast.weights import Gate, fit_gate
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks import Workers, generator
 
-__all__ = ["KinecastOptions", "fitting_kinecast"]
-
 Rows = Int[np.ndarray, " R"]
 Examples = tuple[np.ndarray, ...]
+NOISE, RECORDING_NOISE = (5e-4, 12e-3), (1e-3, 8e-3)
+"""Noise of the second radial basis expert's inputs, and of the gate's noisy recordings: log-uniform [m]."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,6 @@ class KinecastOptions:
         network_steps: of stochastic descent.
         folds: parts of the data that gate and spread are fitted on, each with experts that have not seen it.
         networks: whose mean is the neural expert, each from its own seed; folds make do with one.
-        noise: white noise of the second radial basis expert's inputs, log-uniform between these [m].
         seed: of everything random.
     """
 
@@ -41,7 +41,6 @@ class KinecastOptions:
     network_steps: int = 2500
     folds: int = 4
     networks: int = 2
-    noise: tuple[float, float] = (5e-4, 12e-3)
     seed: int = 0
 
 
@@ -53,19 +52,15 @@ def fitting_kinecast(
     noise: float,
     options: KinecastOptions,
 ) -> Any:
-    """Trains the method `kinecast`.
+    """Stands for the method `kinecast`, trained by workers.
 
     Args:
         workers: that do the tasks: experts, what they say of each recording, gate and spread.
-        windows: of consecutive frames, recording by recording; their groups (tasks, recordings) are left out one
-            after another.
+        windows: of consecutive frames, recording by recording; groups are left out one after another.
         data: stands for the same windows.
         limits: of the arm's angles; None for none.
         noise: spread of a measured joint about the true one [m].
         options: see KinecastOptions.
-
-    Returns:
-        What stands for the method.
     """
     frames, steps, dt = windows.shape
     folds = windows.folds(options.folds)
@@ -107,51 +102,36 @@ def _radial_basis(data: TrainingWindows, rows: Rows, options: KinecastOptions) -
 
 
 def _noisy_radial_basis(data: TrainingWindows, rows: Rows, options: KinecastOptions) -> RadialBasis:
-    windows = data.take(rows)
-    noisy = _with_noise(windows, np.random.default_rng([options.seed, 1]), options.noise)
-    return fit_radial_basis(
-        np.concatenate([windows.observed, noisy]),
-        np.concatenate([windows.future, windows.future]),
-        options.pseudo_inputs,
-        options.seed,
-    )
+    observed, future, rng = data.observed[rows], data.future[rows], np.random.default_rng([options.seed, 1])
+    noisy = observed + _white_noise(rng, NOISE, len(rows), observed.shape[1])
+    both = np.concatenate([observed, noisy]), np.concatenate([future, future])
+    return fit_radial_basis(*both, options.pseudo_inputs, options.seed)
 
 
-def _with_noise(
-    windows: TrainingWindows, rng: np.random.Generator, least_most: tuple[float, float]
-) -> Float[np.ndarray, "W N 6 3"]:
-    """The observed windows with white noise, more on some windows and joints than on others."""
-    count = len(windows)
-    level = np.exp(
-        rng.uniform(np.log(least_most[0]), np.log(least_most[1]), (count, 1, 1, 1))
-        + 0.4 * rng.standard_normal((count, 1, 6, 1))
+def _white_noise(
+    rng: np.random.Generator, levels: tuple[float, float], windows: int, frames: int
+) -> Float[np.ndarray, "W K 6 3"]:
+    """White noise [m], more on some windows and joints than on others."""
+    level = rng.uniform(math.log(levels[0]), math.log(levels[1]), (windows, 1, 1, 1)) + 0.4 * rng.standard_normal(
+        (windows, 1, 6, 1)
     )
-    return windows.observed + level * rng.standard_normal(windows.observed.shape)
+    return np.exp(level) * rng.standard_normal((windows, frames, 6, 3))
 
 
 def _gate_examples(mixture: Mixture, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int) -> Examples:
-    """Every fourth window of a recording as the gate would see it online, from a clean and from a noisy sensor.
-
-    Returns:
-        (B, E, 6, Q), (B, 6, 5), (B, E, T, 6, 3), (B, T, 6, 3) as `fit_gate` takes them.
-    """
-    part = data.take(rows)
-    errors, looks, forecasts, futures = [], [], [], []
+    """Every fourth window of a recording as the gate would see it online, from a clean and from a noisy sensor."""
+    part, examples = data.take(rows), []
     for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
-        for row, output, _ in _followed(mixture, each):
-            if row % 4:
-                continue
-            last = each.observed[row, -1]
-            errors.append(output.inputs.errors)
-            looks.append(output.inputs.window)
-            forecasts.append((output.forecasts - last).astype(np.float32))
-            futures.append(each.future[row] - last)
-    return np.stack(errors), np.stack(looks), np.stack(forecasts), np.stack(futures)
+        for row, output, window in _followed(mixture, each):
+            if row % 4 == 0:
+                made = (output.forecasts - window[-1]).astype(np.float32)
+                examples.append((output.inputs.errors, output.inputs.window, made, each.future[row] - window[-1]))
+    return tuple(map(np.stack, zip(*examples, strict=True)))
 
 
 def _gate(examples: Sequence[Examples], seed: int) -> Gate:
     errors, looks, forecasts, futures = map(np.concatenate, zip(*examples, strict=True))
-    return fit_gate(errors, looks, forecasts, futures, seed=seed)
+    return fit_gate(errors, looks, forecasts, futures, seed)
 
 
 def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> TrainingWindows:
@@ -159,32 +139,23 @@ def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> Trai
     frames, steps = windows.observed.shape[1], windows.future.shape[1]
     first = windows.frame.min() - frames + 1
     length = int(windows.frame.max() + steps - first + 1)
-    level = np.exp(rng.uniform(np.log(1e-3), np.log(8e-3)) + 0.4 * rng.standard_normal((1, 6, 1)))
-    noise = level * rng.standard_normal((length, 6, 3))
+    noise = _white_noise(rng, RECORDING_NOISE, 1, length)[0]
     seen = (windows.frame - first)[:, None] + np.arange(1 - frames, 1)
     ahead = (windows.frame - first)[:, None] + np.arange(1, steps + 1)
     return replace(windows, observed=windows.observed + noise[seen], future=windows.future + noise[ahead])
 
 
 def _error_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
-    """Errors of the mixture on a recording in each arm's own axes, features of the error model, speeds of the joints.
-
-    Returns:
-        (B, T, 6, 3), (B, 6, F), (B, 6) as `fit_error_model` takes them.
-    """
-    errors, features, speeds = [], [], []
-    part = data.take(rows)
+    """Errors of the mixture on a recording in each arm's own axes, features of the error model, joints' speeds."""
+    part, examples = data.take(rows), []
     for row, output, window in _followed(replace(mixture, gate=gate), part):
         own = (part.future[row] - output.mean) @ yaw_frame(window[-1])
-        errors.append(np.einsum("tjd,jde->tje", own, SIDES))
-        features.append(output.features)
-        speeds.append(output.motion.speed)
-    return np.stack(errors), np.stack(features), np.stack(speeds)
+        examples.append((np.einsum("tjd,jde->tje", own, SIDES), output.features, output.motion.speed))
+    return tuple(map(np.stack, zip(*examples, strict=True)))
 
 
 def _error_model(examples: Sequence[Examples]) -> ErrorModel:
-    errors, features, speeds = map(np.concatenate, zip(*examples, strict=True))
-    return fit_error_model(errors, features, speeds)
+    return fit_error_model(*map(np.concatenate, zip(*examples, strict=True)))
 
 
 def _followed(
@@ -192,16 +163,11 @@ def _followed(
 ) -> Iterator[tuple[int, MixtureOutput, Float[np.ndarray, "N 6 3"]]]:
     """One recording frame by frame, as online: row, what the mixture says, window."""
     made = forecasts(mixture.experts, windows.observed, mixture.steps)
-    errors = mixture.rolling_errors()
-    nothing = np.full((6, 3), np.nan)
-    before = None
-    for row, frame in enumerate(windows.frame):
-        pause = 0 if before is None else int(frame - before) - 1
-        if pause > LONGEST_PAUSE:
-            errors, pause = mixture.rolling_errors(), 0
-        for _ in range(pause):
-            errors.observe(nothing)
-            errors.predicted(None)
+    errors, before = mixture.rolling_errors(), int(windows.frame[0]) - 1
+    for row, frame in enumerate(windows.frame.tolist()):
+        if frame - before - 1 > LONGEST_PAUSE:
+            errors, before = mixture.rolling_errors(), frame - 1
+        errors.skip(frame - before - 1)
         window = windows.observed[row]
         yield row, mixture.update(errors, window, window[-1], made[row]), window
         before = frame

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.constraint import ConstraintFactor
-from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
+from kinecast.prediction.density import GaussianMixture, PoseDensity
 from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
 from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
 from kinecast.prediction.kinecast.experts import TRIVIAL, Expert, Network, expert_from_arrays, forecasts
@@ -29,14 +30,18 @@ from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.sampling import sample_motions
 
-__all__ = ["LONGEST_PAUSE", "Kinecast", "Mixture", "MixtureOutput", "State", "ablations", "kinecast_from_arrays"]
-
 LONGEST_PAUSE = 20
 """After a longer gap [frames] nothing of the person is remembered."""
 RECENT_LEADS = [1, 3]
 """Of the leads of the rolling errors, those by which the spread goes."""
 FLOOR = 5e-4
 """Least spread of a joint [m], for directions that the low-rank factor leaves out."""
+
+
+Motion: TypeAlias = Float[np.ndarray, "T 6 3"]
+Motions: TypeAlias = Float[np.ndarray, "E T 6 3"]
+Window: TypeAlias = Float[np.ndarray, "N 6 3"]
+Factor: TypeAlias = Float[np.ndarray, "T 6 3 R"]
 
 
 @dataclass(frozen=True)
@@ -52,8 +57,8 @@ class MixtureOutput:
         learned: weight of the learned experts in the mean, averaged over steps and joints.
     """
 
-    mean: Float[np.ndarray, "T 6 3"]
-    forecasts: Float[np.ndarray, "E T 6 3"]
+    mean: Motion
+    forecasts: Motions
     inputs: GateInputs
     features: Float[np.ndarray, "6 F"]
     motion: WindowMotion
@@ -84,9 +89,9 @@ class Mixture:
     def update(
         self,
         errors: RollingForecastErrors,
-        window: Float[np.ndarray, "N 6 3"],
+        window: Window,
         measured: Float[np.ndarray, "6 3"],
-        made: Float[np.ndarray, "E T 6 3"] | None = None,
+        made: Motions | None = None,
     ) -> MixtureOutput:
         """Learns from the newest frame how the experts did, and mixes them anew.
 
@@ -138,14 +143,6 @@ class State:
     stamp: float = -np.inf
     path: deque[Float[np.ndarray, "2 3"]] = field(default_factory=deque)
 
-    def skip(self, frames: int) -> None:
-        """Frames of which nothing is known."""
-        for _ in range(frames):
-            self.errors.observe(np.full((6, 3), np.nan))
-            self.errors.predicted(None)
-            if self.adaptive is not None:
-                self.adaptive.skip()
-
 
 @dataclass(frozen=True)
 class Kinecast:
@@ -190,7 +187,9 @@ class Kinecast:
         if not self.remembers or not 0 <= pause <= LONGEST_PAUSE:
             state = self.init_state()
         else:
-            state.skip(pause)
+            state.errors.skip(pause)
+            if state.adaptive is not None:
+                state.adaptive.skip(pause)
         if state.adaptive is not None:
             state.adaptive.observe(measured)
         window = observation.positions
@@ -214,18 +213,19 @@ class Kinecast:
         factor = with_noise(self.error_model.factor_in(scale, rotation), observation.noise)
         mean = observation.to_torso(state.output.mean)
         draws = rng.standard_normal((factor.shape[-1], samples))
-        common = common_factors(self.error_model.weights, samples, rng)
-        goals = self._goals(observation, state, mean, factor)
-        if goals is None:
+        common, goals = common_factors(self.error_model.weights, samples, rng), None
+        if observation.goals is None:
             draws *= common
         else:
+            scales = SCALES, self.error_model.weights
+            goals = goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
             draws *= rng.permutation(common)
             goals.move(draws, rng)
         motions = sample_motions(observation, mean, factor, draws, rng, self.limits)
         constraint = None
         if self.limits is not None:
             constraint = ConstraintFactor(
-                lambda: mean + unconstrained(factor, draws), observation, self.limits, self.noise
+                lambda: mean + np.tensordot(draws, factor, axes=(0, 3)), observation, self.limits, self.noise
             )
         return Forecast(
             motions,
@@ -236,33 +236,16 @@ class Kinecast:
             {} if goals is None else goals.goals,
         )
 
-    def _goals(
-        self,
-        observation: Observation,
-        state: State,
-        mean: Float[np.ndarray, "T 6 3"],
-        factor: Float[np.ndarray, "T 6 3 R"],
-    ) -> GoalMixture | None:
-        """The mixture over the scene's goals; None where it has none."""
-        if observation.goals is None:
-            return None
-        scales = (SCALES, self.error_model.weights)
-        return goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
-
-    def _blocks(
-        self, mean: Float[np.ndarray, "T 6 3"], factor: Float[np.ndarray, "T 6 3 R"], goals: GoalMixture | None
-    ) -> GaussianMixture:
+    def _blocks(self, mean: Motion, factor: Factor, goals: GoalMixture | None) -> GaussianMixture:
         """The density behind the draws: a scale mixture about the mean, or about each goal's."""
         centres, weights, kind, factors = mean[None], np.ones(1), np.zeros(1, dtype=int), factor[None]
         if goals is not None:
             kinds, kind = np.unique(goals.kind, return_inverse=True)
             factors = np.stack([goals.factor(factor, each) for each in kinds.tolist()])
             centres, weights = mean + np.moveaxis(factor @ goals.shifts, -1, 0), goals.weights
-        return GaussianMixture(
-            centres[:, :, JOINT_ORDER].reshape(*centres.shape[:2], 18),
-            factors[:, :, JOINT_ORDER].reshape(*factors.shape[:2], 18, -1),
-            weights, kind, SCALES, self.error_model.weights, floor=FLOOR,
-        )  # fmt: skip
+        return GaussianMixture.of_positions(
+            centres, factors, weights, kind, SCALES, self.error_model.weights, floor=FLOOR
+        )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a model file."""
@@ -272,19 +255,12 @@ class Kinecast:
         return {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
 
 
-def with_noise(factor: Float[np.ndarray, "T 6 3 R"], noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6 3 R2"]:
+def with_noise(factor: Factor, noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6 3 R2"]:
     """The factor once the last frame's error, the same at every step, is added [m]."""
     if not noise.any():
         return factor
     shared = np.diag(np.repeat(noise, 3)).reshape(6, 3, 18)
     return np.concatenate([factor, np.broadcast_to(shared, (len(factor), *shared.shape))], axis=-1)
-
-
-def unconstrained(
-    factor: Float[np.ndarray, "T 6 3 R"], draws: Float[np.ndarray, "R S"]
-) -> Float[np.ndarray, "S T 6 3"]:
-    """How far each draw lies from the mean before any constraint [m]."""
-    return np.tensordot(draws, factor, axes=(0, 3))
 
 
 def common_factors(weights: Float[np.ndarray, " K"], samples: int, rng: np.random.Generator) -> Float[np.ndarray, " S"]:
@@ -323,12 +299,7 @@ def _without(mixture: Mixture, dropped: set[int]) -> Mixture:
 
 
 def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> Kinecast:
-    """The method that `Kinecast.to_arrays` described.
-
-    Raises:
-        KeyError: an array is missing.
-        ValueError: shapes that do not fit.
-    """
+    """The method that `Kinecast.to_arrays` described; KeyError or ValueError where arrays are missing or do not fit."""
     parts: dict[str, dict[str, np.ndarray]] = {}
     for name, array in arrays.items():
         part, _, own = name.partition(".")

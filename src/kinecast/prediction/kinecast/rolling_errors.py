@@ -2,45 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from kinecast.geometry.transforms import lengths
 
-__all__ = ["RollingForecastErrors"]
 
-
-@dataclass
 class RollingForecastErrors:
     """Exponentially forgotten mean error of each forecaster's past predictions, once their time has come.
 
-    Attributes:
+    Args:
         forecasters: E, how many are followed.
         leads: (L,) steps ahead at which they are judged.
         half_lives: (H,) memories, in frames.
-        frames: how many frames were seen.
     """
 
-    forecasters: int
-    leads: tuple[int, ...]
-    half_lives: tuple[float, ...]
-    frames: int = 0
-    _sum: Float[np.ndarray, "L E 6 H"] = field(init=False)
-    _weight: Float[np.ndarray, "L H"] = field(init=False)
-    _past: Float[np.ndarray, "K L E 6 3"] = field(init=False)
-    _known: Bool[np.ndarray, " K"] = field(init=False)
-    _newest: int = field(init=False, default=0)
-
-    def __post_init__(self) -> None:
-        leads, kept = len(self.leads), max(self.leads)
-        self._sum = np.zeros((leads, self.forecasters, 6, len(self.half_lives)))
-        self._weight = np.zeros((leads, len(self.half_lives)))
-        self._past = np.zeros((kept, leads, self.forecasters, 6, 3))
-        self._known = np.zeros(kept, dtype=np.bool_)
-        self._lead = np.array(self.leads)
-        self._decay = 0.5 ** (1.0 / np.array(self.half_lives))
+    def __init__(self, forecasters: int, leads: tuple[int, ...], half_lives: tuple[float, ...]) -> None:
+        self.frames = 0  # seen so far
+        self._sum = np.zeros((len(leads), forecasters, 6, len(half_lives)))
+        self._weight = np.zeros((len(leads), len(half_lives)))
+        self._past = np.zeros((max(leads), len(leads), forecasters, 6, 3))
+        self._known = np.zeros(max(leads), dtype=np.bool_)
+        self._newest = 0
+        self._lead = np.array(leads)
+        self._decay = 0.5 ** (1.0 / np.array(half_lives))
 
     def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
         """Judges what was predicted for this frame; NaN joints judge nothing. Call once a frame, before `predicted`."""
@@ -60,6 +45,12 @@ class RollingForecastErrors:
         self._known[self._newest] = forecasts is not None
         if forecasts is not None:
             self._past[self._newest] = forecasts[:, self._lead - 1].swapaxes(0, 1)
+
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        for _ in range(frames):
+            self.observe(np.full((6, 3), np.nan))
+            self.predicted(None)
 
     def mean(self) -> Float[np.ndarray, "E 6 L H"]:
         """(E, 6, L, H) mean errors [m]; NaN where nothing has come due."""

@@ -18,8 +18,7 @@ from kinecast.geometry.transforms import lengths
 from kinecast.prediction.kinecast.experts import TRIVIAL
 from kinecast.prediction.kinecast.features import WindowMotion
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
-
-__all__ = ["JOINT_TYPE", "Gate", "GateInputs", "fallback_weights", "fit_gate", "gate_inputs", "rolling_errors"]
+from kinecast.prediction.model_file import Arrays
 
 LEADS, HALF_LIVES = (1, 3, 6, 10, 15), (8.0, 40.0, 200.0, 10.0)
 """Steps ahead at which forecasts are judged, and how long that is remembered [frames]."""
@@ -86,7 +85,7 @@ def gate_inputs(
 
 
 @dataclass(frozen=True)
-class Gate:
+class Gate(Arrays):
     """softmax over experts of bias − Σ share · errors + slope · window, each varying smoothly with the step.
 
     Attributes:
@@ -106,17 +105,11 @@ class Gate:
         weights = np.exp(logits - logits.max(axis=0))
         return weights / weights.sum(axis=0)
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
-        return {"bias": self.bias, "share": self.share, "slope": self.slope}
-
 
 def fallback_weights(due: Float[np.ndarray, "E2 6 L H"], frames: int) -> Float[np.ndarray, "F 6"]:
     """(1 + TRIVIAL, 6) weights, per joint, of the mixture (first) and the trivial experts, from their long-run errors.
 
-    Args:
-        due: rolling errors [m], NaN for leads that have not come due.
-        frames: how many frames were seen.
+    `due` are the rolling errors [m], NaN for leads that have not come due, `frames` how many were seen.
     """
     long_run = np.concatenate([due[-2:-1], due[:TRIVIAL]])[..., LONG_RUN]
     known = np.isfinite(long_run).all(axis=(0, 1))
@@ -140,11 +133,7 @@ def fit_gate(
 ) -> Gate:
     """The gate with the least mean distance of the mixture, windows weighted by one over the root of their motion.
 
-    Args:
-        errors, windows: the gate's inputs.
-        forecasts: of the experts, relative to the last pose [m].
-        futures: what came, likewise [m].
-        seed: of the batches.
+    `errors` and `windows` are its inputs; what experts forecast and what came are relative to the last pose [m].
     """
     from kinecast.prediction.descent import descend, jax_in_one_thread
 
