@@ -343,11 +343,10 @@ def _write_csv(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes
 def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
     """The known columns by name, and the metadata."""
     text = read_bytes(path).removeprefix(BYTE_ORDER_MARK)
-    metadata = None
-    if text.startswith(_CSV_METADATA):
+    metadata, before = None, int(text.startswith(_CSV_METADATA))
+    if before:
         line, _, text = text.partition(b"\n")
         metadata = line.removeprefix(_CSV_METADATA)
-    before = 1 if metadata is not None else 0
     reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", newline=""), strict=True)
     try:
         names = next(reader, [])
