@@ -22,12 +22,8 @@ from rich.progress import Progress
 
 from kinecast.errors import DownloadError, OptionError
 
-TIMEOUT = 30.0
-"""Seconds without a byte after which a connection counts as broken."""
-
-ATTEMPTS = 5
-"""Broken connections in a row without any progress before giving up."""
-
+TIMEOUT = 30.0  # [s] without a byte after which a connection counts as broken
+ATTEMPTS = 5  # broken connections in a row without any progress before giving up
 LARGEST_LISTING = 10_000_000  # bytes
 MOST_FILES = 10_000
 CHUNK = 1 << 16

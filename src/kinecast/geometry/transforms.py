@@ -110,4 +110,4 @@ def from_y_up(points: Vectors) -> Vectors:
 
 def lengths(vectors: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b"]:
     """Euclidean norms; quicker than NumPy's own for arrays so small."""
-    return np.sqrt(np.einsum("...d,...d->...", vectors, vectors))
+    return np.asarray(np.sqrt(np.einsum("...d,...d->...", vectors, vectors)))

@@ -20,13 +20,10 @@ from kinecast.geometry.shapes import Box, Sphere
 
 BREATHING_TIME = 0.83
 """Correlation time of the common bone length [s]; HA4M: 0.96, 0.67, 0.26 after 1, 10, 30 frames at 30 Hz."""
-
 LARGEST_JUMP = 24.0
 """Fastest tracker jump [m/s], HA4M V001."""
-
 SWAPPED = 0.3
 """Share of jumps that exchange left and right for a moment; HA4M V001 at 34.1 s."""
-
 LOST_FRAMES = 5.0
 """Mean length of a dropout, in frames."""
 
