@@ -80,12 +80,10 @@ class JointLimits:
             raise OptionError(f"limits.wrist_speed: {self.wrist_speed} m/s is outside (0, ∞]")
 
     def widened(self, postures: Float[np.ndarray, "N 18"]) -> JointLimits:
-        """Limits whose ranges also hold nearly all postures seen, never narrower than before; speeds stay.
+        """Limits whose ranges also hold nearly all postures (N, 18) seen, never narrower than before; speeds stay.
 
-        For markers that are not at the joints: their angles are offset, and an honest range is offset too.
-
-        Args:
-            postures: (N, 18) postures of training recordings; NaN is left out.
+        For markers that are not at the joints: their angles are offset, and an honest range is offset too. NaN is left
+        out.
         """
         wider: dict[str, AngleLimit] = {}
         for i, (name, limit) in enumerate(self._named_angles()[:4]):
@@ -171,21 +169,12 @@ def speeds_within_wrist_speed(posture: np.ndarray, speed: np.ndarray, wrist_spee
 def violations(
     postures: Float[np.ndarray, "*batch T 18"], initial: Float[np.ndarray, " 18"], dt: float, limits: JointLimits
 ) -> tuple[Bool[np.ndarray, "*batch T"], Bool[np.ndarray, "*batch T"]]:
-    """Which steps leave the range of an arm angle, and which move one faster than its speed.
+    """Which steps (…, T) leave the range of an arm angle, and which move one faster than its speed.
 
-    Both count only by more than 1e-9 rad, and NaN violates nothing. Axial rotation is not checked where the
-    elbow is within 2° of straight. A series that starts outside the range (`initial`) is excused as far as
-    Eq. 4's closed bounds excuse it: it must come back at full speed. Angles are taken as they are, on the
-    branch and turn given.
-
-    Args:
-        postures: (…, T, 18) postures, dt apart.
-        initial: (18,) posture dt before the first one; NaN for none.
-        dt: length of a step [s].
-        limits: the limits.
-
-    Returns:
-        (…, T) position violations and (…, T) speed violations.
+    Takes postures (…, T, 18), dt [s] apart, and the posture (18,) dt before the first one; NaN for none. Both count
+    only by more than 1e-9 rad, and NaN violates nothing. Axial rotation is not checked where the elbow is within 2° of
+    straight. A series that starts outside the range (`initial`) is excused as far as Eq. 4's closed bounds excuse it:
+    it must come back at full speed. Angles are taken as they are, on the branch and turn given.
     """
     lower, upper, speed, wrist_speed = posture_bounds(limits)
     before = np.concatenate([np.broadcast_to(initial, postures[..., :1, :].shape), postures[..., :-1, :]], axis=-2)

@@ -43,17 +43,11 @@ def _plain(name: str) -> str:
 
 @dataclass(frozen=True)
 class Skeleton:
-    """The joints one kind of source tracks.
+    """The joints one kind of source tracks."""
 
-    Attributes:
-        name: short name for messages, e.g. `"Azure Kinect 32"`.
-        joints: canonical joint names, in the order of the source.
-        aliases: the source's own names to canonical names; several may mean the same joint.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    aliases: Mapping[str, str]
+    name: str  # short, for messages, e.g. "Azure Kinect 32"
+    joints: tuple[str, ...]  # canonical, in the order of the source
+    aliases: Mapping[str, str]  # the source's own names to canonical ones; several may mean the same joint
 
     @cached_property
     def _by_plain_name(self) -> dict[str, str]:

@@ -52,19 +52,12 @@ class UpSource(Enum):
 
 @dataclass(frozen=True)
 class Torso:
-    """The torso of one frame, or of a series of them.
+    """The torso of one frame, or of a series of them."""
 
-    Attributes:
-        T_world_torso: (…, 4, 4) rigid transform, p_world = T_world_torso · p_torso; NaN where a shoulder is.
-        lean: (…) forward lean about the shoulder line, 0 for world up [rad].
-        source: what up is read from.
-        held: (…) True where the source was lost and the last lean is held.
-    """
-
-    T_world_torso: Float[np.ndarray, "*batch 4 4"]
-    lean: Float[np.ndarray, "*batch"]
-    source: UpSource
-    held: Bool[np.ndarray, "*batch"]
+    T_world_torso: Float[np.ndarray, "*batch 4 4"]  # p_world = T_world_torso · p_torso; NaN where a shoulder is
+    lean: Float[np.ndarray, "*batch"]  # forward, about the shoulder line, 0 for world up [rad]
+    source: UpSource  # what up is read from
+    held: Bool[np.ndarray, "*batch"]  # True where the source was lost and the last lean is held
 
 
 def up_source(joints: Sequence[str], positions: Series) -> UpSource:

@@ -41,8 +41,7 @@ def load(path: Path) -> list[Recording]:
     Labels lie beside an MVNX file or its csv twin, or in a folder above it in
     `annotations/labels_csv2/<participant>/<trial>.labels.csv`. Subject and task are read from the trial's name.
     """
-    labels = _label_file(path)
-    if labels is None:
+    if (labels := _label_file(path)) is None:
         missing = f"{mvnx.sequence_name(path)}.labels.csv"
         raise DatasetError(path, f"no {missing} beside it or in annotations/labels_csv2 above")
     (motion,) = mvnx.load(path)

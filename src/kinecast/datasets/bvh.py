@@ -23,15 +23,10 @@ _MOST_JOINTS = 1000
 
 @dataclass(frozen=True)
 class BvhOptions:
-    """What a BVH file does not state.
+    """What a BVH file does not state."""
 
-    Attributes:
-        metres_per_unit: length of the file's unit [m]; 0.01 for centimetres.
-        up: the file's vertical axis.
-    """
-
-    metres_per_unit: float = 0.01
-    up: Literal["y", "z"] = "y"
+    metres_per_unit: float = 0.01  # length of the file's unit [m]; 0.01 for centimetres
+    up: Literal["y", "z"] = "y"  # the file's vertical axis
 
     def __post_init__(self) -> None:
         if not 0 < self.metres_per_unit <= 1000:
@@ -74,13 +69,13 @@ def load(path: Path, options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
     found = {joint: place for place, joint in reversed(list(enumerate(map(skeleton.find, named)))) if joint}
     if not set(ARM_JOINTS) <= set(found):
         raise DatasetError(path, f"no known names of both arms' joints; the joints are {', '.join(named)}")
-    kept = sorted(found.values())
-    positions = _positions(joints, table)[:, kept] * options.metres_per_unit
+    kept = {place: joint for joint, place in sorted(found.items(), key=lambda item: item[1])}
+    positions = _positions(joints, table)[:, list(kept)] * options.metres_per_unit
     others = len(named) - len(kept)
     return [
         Recording(
             name=base_name(path),
-            joints=tuple(joint for place in kept if (joint := skeleton.find(named[place]))),
+            joints=tuple(kept.values()),
             stamps=np.arange(len(table)) * step,
             positions=from_y_up(positions) if options.up == "y" else positions,
             rate=1.0 / step,

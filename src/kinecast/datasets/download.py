@@ -22,12 +22,8 @@ from rich.progress import Progress
 
 from kinecast.errors import DownloadError, OptionError
 
-TIMEOUT = 30.0
-"""Seconds without a byte after which a connection counts as broken."""
-
-ATTEMPTS = 5
-"""Broken connections in a row without any progress before giving up."""
-
+TIMEOUT = 30.0  # [s] without a byte after which a connection counts as broken
+ATTEMPTS = 5  # broken connections in a row without any progress before giving up
 LARGEST_LISTING = 10_000_000  # bytes
 MOST_FILES = 10_000
 CHUNK = 1 << 16
@@ -128,11 +124,8 @@ def download(
 def _target(root: Path, name: str) -> Path:
     """The place of a file inside the folder; refuses a name that leads elsewhere, or that some system cannot store."""
     parts = name.split("/")
-    if (
-        UNSAFE.search(name)
-        or len(name) > 400
-        or any(part in ("", ".", "..") or part != part.strip(" .") or len(part) > 200 for part in parts)
-    ):
+    bad = any(not part or part != part.strip(" .") or len(part) > 200 for part in parts)
+    if bad or UNSAFE.search(name) or len(name) > 400:
         raise DownloadError(f"refusing the file name {name[:80]!r}: it is not a plain path inside the folder")
     target = root.joinpath(*parts)
     if not target.resolve().is_relative_to(root.resolve()):
@@ -142,7 +135,7 @@ def _target(root: Path, name: str) -> Path:
 
 def _table(public: PublicSet, url: str) -> list[RemoteFile]:
     """The files of kinecast's own list."""
-    base = url if url.endswith("/") else url + "/"
+    base = url.removesuffix("/") + "/"
     return [
         RemoteFile(name, base + quote(name), f"sha256:{facts['sha256']}", int(facts["bytes"]))
         for name, facts in (public.files or {}).items()
@@ -194,10 +187,8 @@ def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], pat
         _gather(remote, part, advance, patience)
         if not remote.is_at(part):
             part.unlink()
-            raise DownloadError(
-                f"{remote.name}: what {remote.url} sent is not the file it should be (its checksum differs from"
-                f" {remote.checksum}); nothing of it is kept"
-            )
+            problem = f"is not the file it should be (its checksum differs from {remote.checksum})"
+            raise DownloadError(f"{remote.name}: what {remote.url} sent {problem}; nothing of it is kept")
         part.replace(target)
     except DownloadError:
         raise
@@ -220,15 +211,12 @@ def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], pati
         except (OSError, HTTPException) as error:
             problem = str(getattr(error, "reason", None) or error) or type(error).__name__
         present = part.stat().st_size
-        if present == remote.size:
-            return
         failures = 1 if present > before else failures + 1
-        if failures >= ATTEMPTS:
-            raise DownloadError(
-                f"{remote.name}: {problem} ({remote.url}). {present} of {remote.size} bytes"
-                " are kept: the same command continues there."
-            )
-        time.sleep(patience * 2 ** (failures - 1))
+        if present != remote.size and failures >= ATTEMPTS:
+            kept = f"{present} of {remote.size} bytes are kept: the same command continues there."
+            raise DownloadError(f"{remote.name}: {problem} ({remote.url}). {kept}")
+        if present != remote.size:
+            time.sleep(patience * 2 ** (failures - 1))
 
 
 def _gather_once(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> None:
@@ -256,10 +244,8 @@ def _gather_once(remote: RemoteFile, part: Path, advance: Callable[[int], None])
                 advance(have)
     if have > remote.size:
         part.unlink()
-        raise DownloadError(
-            f"{remote.name}: the server sends more than the file's {remote.size} bytes ({remote.url});"
-            " nothing of it is kept"
-        )
+        more = f"the server sends more than the file's {remote.size} bytes ({remote.url})"
+        raise DownloadError(f"{remote.name}: {more}; nothing of it is kept")
 
 
 def _open(url: str, headers: dict[str, str]) -> http.client.HTTPResponse:

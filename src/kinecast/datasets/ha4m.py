@@ -85,8 +85,7 @@ def load_features(path: Path) -> list[Recording]:
 
 def _subject(clip: str) -> str:
     """The person's id in a clip's name: `001` of `IDU001V002`; "" where the name is another."""
-    found = _CLIP.fullmatch(clip)
-    return found[1] if found else ""
+    return found[1] if (found := _CLIP.fullmatch(clip)) else ""
 
 
 def _bodies(camera: Path, alone: bool, path: Path, labels: dict[int, str] | None) -> Iterator[Recording]:
@@ -164,12 +163,13 @@ def _clip_labels(file: Path) -> dict[int, str]:
     """Label name of every frame id in `Labels.txt`."""
     labels = {}
     for where, line in _lines(file):
-        words = line.split()
-        if not words:
-            continue
-        if len(words) != 3 or not words[0].isdecimal():
-            raise DatasetError(where, f"found {line[:40]!r}, expected a frame id and two labels")
-        labels[int(words[0])] = _label(words[1], where)
+        match line.split():
+            case []:
+                pass
+            case [frame, label, _] if frame.isdecimal():
+                labels[int(frame)] = _label(label, where)
+            case _:
+                raise DatasetError(where, f"found {line[:40]!r}, expected a frame id and two labels")
     return labels
 
 

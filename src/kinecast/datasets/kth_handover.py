@@ -25,27 +25,27 @@ def matches(path: Path) -> bool:
 
 def load(path: Path) -> list[Recording]:
     """One handover, named `<folder>/giver` and `<folder>/taker`; files of baton and wrenches are passed over."""
-    if not matches(path):
-        expected = "giver_<segment>_pose_saved.csv and taker_<segment>_pose_saved.csv"
-        raise DatasetError(path, f"expected a folder of {expected}")
     files: dict[str, dict[str, Path]] = {}
-    for file in sorted(path.iterdir()):
+    for file in sorted(path.iterdir()) if path.is_dir() else ():
         if found := _FILE.fullmatch(file.name):
             files.setdefault(found[1], {})[found[2]] = file
+    if not files:
+        expected = "giver_<segment>_pose_saved.csv and taker_<segment>_pose_saved.csv"
+        raise DatasetError(path, f"expected a folder of {expected}")
     return [_person(path, person, segments) for person, segments in sorted(files.items())]
 
 
 def _person(path: Path, person: str, segments: dict[str, Path]) -> Recording:
-    tracks = [_track(file) for file in segments.values()]
-    first, *_ = segments.values()
-    for file, track in zip(segments.values(), tracks, strict=True):
-        if len(track) != len(tracks[0]):
-            raise DatasetError(file, f"{len(track)} rows, but {first.name} has {len(tracks[0])}")
+    tracks = {file: _track(file) for file in segments.values()}
+    (first, frames), *others = [(file, len(track)) for file, track in tracks.items()]
+    for file, count in others:
+        if count != frames:
+            raise DatasetError(file, f"{count} rows, but {first.name} has {frames}")
     return Recording(
         name=f"{path.absolute().name}/{person}",
         joints=KTH_13.canonical(segments, path),
-        stamps=np.arange(len(tracks[0])) / _RATE,
-        positions=np.stack(tracks, axis=1),
+        stamps=np.arange(frames) / _RATE,
+        positions=np.stack(list(tracks.values()), axis=1),
         rate=_RATE,
         source=path,
         format="kth-handover",

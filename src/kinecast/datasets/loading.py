@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +25,7 @@ clusters, which sit beside the joints, 0.13 to 0.32 m are measured."""
 FARTHEST = 10_000.0
 """Largest believable coordinate [m]; larger ones are damage."""
 
-_BONES = (
-    ("left_shoulder", "left_elbow"), ("left_elbow", "left_wrist"),
-    ("right_shoulder", "right_elbow"), ("right_elbow", "right_wrist"),
-)  # fmt: skip
+_BONES = (*pairwise(ARM_JOINTS[:3]), *pairwise(ARM_JOINTS[3:]))
 _UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
 
 

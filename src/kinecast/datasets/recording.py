@@ -15,35 +15,20 @@ from kinecast.errors import DatasetError
 
 @dataclass(frozen=True)
 class Recording:
-    """One person's skeleton over time, as loaded: nothing repaired, nothing dropped.
+    """One person's skeleton over time, as loaded: nothing repaired, nothing dropped."""
 
-    Attributes:
-        name: short unique name for tables, e.g. `"PickPlaceCloseHuman/0"`.
-        joints: canonical joint names (kinecast.body.skeleton), one per column of `positions`.
-        stamps: (N,) acquisition times [s], strictly increasing.
-        positions: (N, J, 3) joint positions [m], z up; NaN where missing.
-        rate: nominal frames per second [Hz].
-        source: file or folder it came from; None for generated ones.
-        format: name of the format it was read from, e.g. `"vicon"`.
-        person: id of the person within the source.
-        subject: id of the person across sources ("" where unknown); splits by subject use it.
-        task: what is being done ("" where unknown); splits by task use it.
-        labels: one label per frame, or None.
-        notes: what a user must know, e.g. `"rate not stated by the format; 30 Hz assumed"`.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    stamps: Float[np.ndarray, " N"]
-    positions: Float[np.ndarray, "N J 3"]
-    rate: float
-    source: Path | None = None
-    format: str = "generated"
-    person: str = "0"
-    subject: str = ""
-    task: str = ""
-    labels: tuple[str, ...] | None = None
-    notes: tuple[str, ...] = ()
+    name: str  # short and unique, for tables, e.g. "PickPlaceCloseHuman/0"
+    joints: tuple[str, ...]  # canonical names (kinecast.body.skeleton), one per column of `positions`
+    stamps: Float[np.ndarray, " N"]  # acquisition times [s], strictly increasing
+    positions: Float[np.ndarray, "N J 3"]  # [m], z up; NaN where missing
+    rate: float  # nominal frames per second [Hz]
+    source: Path | None = None  # file or folder it came from; None for generated ones
+    format: str = "generated"  # name of the format it was read from, e.g. "vicon"
+    person: str = "0"  # id of the person within the source
+    subject: str = ""  # id of the person across sources, "" where unknown; splits by subject use it
+    task: str = ""  # what is being done, "" where unknown; splits by task use it
+    labels: tuple[str, ...] | None = None  # one per frame
+    notes: tuple[str, ...] = ()  # what a user must know, e.g. "rate not stated by the format; 30 Hz assumed"
 
     def __post_init__(self) -> None:
         where = self.source or self.name
@@ -54,8 +39,9 @@ class Recording:
             raise DatasetError(where, f"joint names repeat: {', '.join(self.joints)}")
         if self.stamps.shape != (frames,):
             raise DatasetError(where, f"{len(self.stamps)} stamps for {frames} frames")
-        if frames > 1 and not np.all(np.diff(self.stamps) > 0):
-            row = int(np.argmin(np.diff(self.stamps) > 0)) + 1
+        later = np.diff(self.stamps) > 0
+        if not later.all():
+            row = int(np.argmin(later)) + 1
             raise DatasetError(where, f"frame {row}: stamps must increase, found {self.stamps[row]} s")
         if not (np.isfinite(self.rate) and 0 < self.rate <= 10_000):
             raise DatasetError(where, f"rate {self.rate} Hz is outside (0, 10000]")

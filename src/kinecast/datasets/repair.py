@@ -20,17 +20,14 @@ MAX_GAP = 0.2
 
 @dataclass(frozen=True)
 class RepairReport:
-    """What a repair found and what it did.
-
-    Attributes:
-        flaws: (N, J) the `kinecast.body.tracking.Flaw` of each value as recorded.
-        interpolated: (N, J) True where the value is not the recorded one but interpolated.
-        removed: (N, J) True where a recorded value was cut out and is now NaN.
-    """
+    """What a repair found and what it did."""
 
     flaws: Int8[np.ndarray, "N J"]
+    """The `kinecast.body.tracking.Flaw` of each value as recorded."""
     interpolated: Bool[np.ndarray, "N J"]
+    """True where the value is not the recorded one but interpolated."""
     removed: Bool[np.ndarray, "N J"]
+    """True where a recorded value was cut out and is now NaN."""
 
 
 def repair(recording: Recording) -> tuple[Recording, RepairReport]:

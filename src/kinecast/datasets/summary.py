@@ -20,12 +20,10 @@ from kinecast.datasets.repair import RepairReport, repair
 from kinecast.datasets.resampling import measured_rate
 
 BONES = {
-    "left_upper_arm": ("left_shoulder", "left_elbow"),
-    "left_forearm": ("left_elbow", "left_wrist"),
-    "right_upper_arm": ("right_shoulder", "right_elbow"),
-    "right_forearm": ("right_elbow", "right_wrist"),
-    "shoulder_width": ("left_shoulder", "right_shoulder"),
-}
+    f"{side}_{bone}": (f"{side}_{upper}", f"{side}_{lower}")
+    for side in ("left", "right")
+    for bone, upper, lower in (("upper_arm", "shoulder", "elbow"), ("forearm", "elbow", "wrist"))
+} | {"shoulder_width": ("left_shoulder", "right_shoulder")}
 """Bones whose lengths are reported, as pairs of joints."""
 
 SPEED_JOINTS = tuple(joint for joint in ARM_JOINTS if "shoulder" not in joint)

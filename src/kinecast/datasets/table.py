@@ -86,17 +86,17 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
     persons = [recording.person for recording in recordings]
     if not recordings or len(set(persons)) < len(persons):
         raise DatasetError(path, f"persons {persons}: a table holds one recording of each person, and at least one")
-    frames = [len(recording.stamps) for recording in recordings]
-    width = np.repeat([len(recording.joints) for recording in recordings], frames)
+    frames, counts = zip(*(each.positions.shape[:2] for each in recordings), strict=True)
+    width = np.repeat(counts, frames)
     joints = Words.of(joint for recording in recordings for joint in recording.joints)
-    places = np.split(joints.codes, np.cumsum([len(recording.joints) for recording in recordings])[:-1])
+    places = np.split(joints.codes, np.cumsum(counts)[:-1])
     labels = [label for each, n in zip(recordings, frames, strict=True) for label in each.labels or [None] * n]
     labelled = any(recording.labels is not None for recording in recordings)
     write_rows(
         path,
         Rows(
             stamp=np.repeat(np.concatenate([recording.stamps for recording in recordings]), width),
-            person=Words.of(persons, np.array([each.positions[..., 0].size for each in recordings])),
+            person=Words.of(persons, np.multiply(frames, counts)),
             joint=Words(joints.names, np.concatenate([np.tile(*each) for each in zip(places, frames, strict=True)])),
             position=np.concatenate([recording.positions.reshape(-1, 3) for recording in recordings]),
             label=Words.of(labels, width) if labelled else None,
@@ -106,10 +106,9 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 
 
 def load(path: Path) -> list[Recording]:
-    """One recording for each person; those of `write` come back bit for bit.
+    """One recording for each person, in the order written or of first appearance; those of `write` bit for bit.
 
-    They come in the order they were written, else of first appearance. A table without kinecast's metadata takes its
-    name from the file and its rate from the stamps.
+    A table without kinecast's metadata takes its name from the file and its rate from the stamps.
 
     Raises:
         MissingExtraError: parquet without the extra.
@@ -160,8 +159,7 @@ def _recording(rows: Rows, description: Description, path: Path) -> Recording:
     if len(stamps) * len(places) > MOST_POINTS:
         raise DatasetError(path, f"{len(stamps)} frames of {len(places)} joints, at most {MOST_POINTS} positions")
     joint = np.array([places.get(name, -1) for name in rows.joint.names], dtype=np.intp)[rows.joint.codes[mine]]
-    if (joint < 0).any():
-        row = mine[np.argmax(joint < 0)]
+    for row in mine[joint < 0]:
         name = rows.joint.names[rows.joint.codes[row]]
         raise DatasetError(f"{path}, row {row + 1}", f"joint {name!r} is not in the metadata")
     cell = frame * len(places) + joint
@@ -343,11 +341,10 @@ def _write_csv(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes
 def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
     """The known columns by name, and the metadata."""
     text = read_bytes(path).removeprefix(BYTE_ORDER_MARK)
-    metadata = None
-    if text.startswith(_CSV_METADATA):
+    metadata, before = None, int(text.startswith(_CSV_METADATA))
+    if before:
         line, _, text = text.partition(b"\n")
         metadata = line.removeprefix(_CSV_METADATA)
-    before = 1 if metadata is not None else 0
     reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", newline=""), strict=True)
     try:
         names = next(reader, [])

@@ -69,22 +69,6 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _parsed(text: str, where: object) -> object:
-    if len(text) > MAXIMUM_BYTES:
-        raise DatasetError(where, f"at most {MAXIMUM_BYTES} characters are read, found {len(text)}")
-    try:
-        loader = _Loader(text)
-        loader.where = where
-        return loader.get_single_data()
-    except yaml.MarkedYAMLError as error:
-        line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
-        raise DatasetError(f"{where}{line}", f"not valid YAML: {error.problem}") from None
-    except (yaml.YAMLError, ValueError) as error:
-        if isinstance(error, DatasetError):
-            raise
-        raise DatasetError(where, f"not valid YAML: {_short.repr(str(error))}") from None
-
-
 @dataclass(frozen=True)
 class Entry:
     """One mapping of a file, which knows its place for errors."""
@@ -100,7 +84,20 @@ class Entry:
         Raises:
             DatasetError: unsafe types, aliases, repeated keys, deep nesting, or too long.
         """
-        root = cls(where, "", {}).child("", _parsed(text, where))
+        if len(text) > MAXIMUM_BYTES:
+            raise DatasetError(where, f"at most {MAXIMUM_BYTES} characters are read, found {len(text)}")
+        try:
+            loader = _Loader(text)
+            loader.where = where
+            content = loader.get_single_data()
+        except DatasetError:
+            raise
+        except (yaml.YAMLError, ValueError) as error:
+            mark = getattr(error, "problem_mark", None)
+            problem = error.problem if isinstance(error, yaml.MarkedYAMLError) else _short.repr(str(error))
+            line = "" if mark is None else f", line {mark.line + 1}"
+            raise DatasetError(f"{where}{line}", f"not valid YAML: {problem}") from None
+        root = cls(where, "", {}).child("", content)
         root.only(*allowed)
         return root
 
@@ -131,9 +128,8 @@ class Entry:
         items = self.values.get(key, {})
         if not isinstance(items, dict):
             raise self.error(f"expected entries `name: ...`, found {_short.repr(items)}", key)
-        for name in items:
-            if not isinstance(name, str):
-                raise self.error(f"a name must be text, found {_short.repr(name)}", key)
+        if wrong := [name for name in items if not isinstance(name, str)]:
+            raise self.error(f"a name must be text, found {_short.repr(wrong[0])}", key)
         return {name: self.child(f"{key}.{name}", item) for name, item in items.items()}
 
     def number(self, key: str, unit: str, limit: float = LARGEST) -> float:

@@ -14,21 +14,13 @@ from kinecast.geometry.shapes import Box, Sphere
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """G spheres and boxes.
-
-    Attributes:
-        names: of the regions.
-        centers: (G, 3) [m].
-        axes: (G, 3, 3) rotations whose columns are each region's own axes in the world.
-        halves: (G, 3) half lengths along them [m]; 0 for a sphere.
-        radii: (G,) by which the surface lies farther out [m]; 0 for a box.
-    """
+    """G spheres and boxes."""
 
     names: tuple[str, ...]
-    centers: Float[np.ndarray, "G 3"]
-    axes: Float[np.ndarray, "G 3 3"]
-    halves: Float[np.ndarray, "G 3"]
-    radii: Float[np.ndarray, " G"]
+    centers: Float[np.ndarray, "G 3"]  # [m]
+    axes: Float[np.ndarray, "G 3 3"]  # rotations whose columns are each region's own axes in the world
+    halves: Float[np.ndarray, "G 3"]  # half lengths along them [m]; 0 for a sphere
+    radii: Float[np.ndarray, " G"]  # by which the surface lies farther out [m]; 0 for a box
 
     @staticmethod
     def of(shapes: Mapping[str, Sphere | Box]) -> Regions:

@@ -5,7 +5,7 @@ The file is read strictly: a misspelt entry is an error, not a missing obstacle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,17 @@ from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.distances import ROW, limb_distances
 from kinecast.geometry.entries import Entry, built, read_text
 from kinecast.geometry.regions import Regions
-from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Shape, Sphere, Waypoints
+from kinecast.geometry.shapes import (
+    Box,
+    Capsule,
+    ConstantVelocity,
+    HalfSpace,
+    MovingObstacle,
+    Shape,
+    Sphere,
+    Vector,
+    Waypoints,
+)
 from kinecast.geometry.transforms import from_quaternion, rotation_z
 
 MAXIMUM_ENTRIES = 1000
@@ -40,15 +50,11 @@ Obstacle: TypeAlias = Shape | MovingObstacle
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Obstacles and goals in the world frame, on the clock of the frames' stamps.
-
-    Attributes:
-        obstacles: shapes that stay, and shapes that move.
-        goals: named regions that a hand may be heading for; they are no obstacles.
-    """
+    """Obstacles and goals in the world frame, on the clock of the frames' stamps."""
 
     obstacles: tuple[Obstacle, ...] = ()
     goals: Mapping[str, Sphere | Box] = field(default_factory=dict)
+    """Named regions that a hand may be heading for; they are no obstacles."""
 
     def __post_init__(self) -> None:
         if NO_GOAL in self.goals:
@@ -61,11 +67,7 @@ class Scene:
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
-        """Read a YAML scene file; an example of every entry: `kinecast/data/example_scene.yaml`.
-
-        Raises:
-            DatasetError: names the file, the entry, what was found and what is allowed.
-        """
+        """Read a YAML scene file, as `from_yaml`; an example of every entry: `kinecast/data/example_scene.yaml`."""
         return cls.from_yaml(read_text(Path(path)), path)
 
     @classmethod
@@ -150,20 +152,18 @@ def _plane(entry: Entry) -> Shape:
 
 def _box(entry: Entry) -> Obstacle:
     entry.only("center", "size", "yaw_degrees", "quaternion", "velocity", "waypoints")
-    center, path = _center(entry)
-    return _moving(entry, Box(center, entry.vector("size", 3, "m"), _rotation(entry)), path)
+    return _moving(entry, lambda center: Box(center, entry.vector("size", 3, "m"), _rotation(entry)))
 
 
 def _sphere(entry: Entry) -> Obstacle:
     entry.only("center", "radius", "velocity", "waypoints")
-    center, path = _center(entry)
-    return _moving(entry, Sphere(center, entry.number("radius", "m")), path)
+    return _moving(entry, lambda center: Sphere(center, entry.number("radius", "m")))
 
 
 def _capsule(entry: Entry) -> Obstacle:
     entry.only("start", "end", "radius", "velocity")
     capsule = Capsule(entry.vector("start", 3, "m"), entry.vector("end", 3, "m"), entry.number("radius", "m"))
-    return _moving(entry, capsule)
+    return _gliding(entry, capsule)
 
 
 _OBSTACLES = {"planes": _plane, "boxes": _box, "spheres": _sphere, "capsules": _capsule}
@@ -178,10 +178,10 @@ def _goal(entry: Entry) -> Sphere | Box:
     return Box(entry.vector("center", 3, "m"), entry.vector("size", 3, "m"), _rotation(entry))
 
 
-def _center(entry: Entry) -> tuple[Float[np.ndarray, " 3"], Waypoints | None]:
-    """Where a shape is at first, and its way from there if that is given point by point."""
+def _moving(entry: Entry, at: Callable[[Vector], Shape]) -> Obstacle:
+    """A shape at its center, or on its way if that is given point by point."""
     if "waypoints" not in entry.values:
-        return entry.vector("center", 3, "m"), None
+        return _gliding(entry, at(entry.vector("center", 3, "m")))
     for key in ("center", "velocity"):
         if key in entry.values:
             raise entry.error(f"`{key}` and `waypoints` exclude each other: the waypoints say where it is", key)
@@ -190,13 +190,13 @@ def _center(entry: Entry) -> tuple[Float[np.ndarray, " 3"], Waypoints | None]:
         point.only("time", "position")
     times = np.array([point.number("time", "s", limit=1e12) for point in points])  # epoch stamps fit
     path = Waypoints(times, np.array([point.vector("position", 3, "m") for point in points]).reshape(-1, 3))
-    return path.positions[0], path
+    return MovingObstacle(at(path.positions[0]), path)
 
 
-def _moving(entry: Entry, shape: Shape, path: Waypoints | None = None) -> Obstacle:
-    if "velocity" in entry.values:
-        return MovingObstacle(shape, ConstantVelocity(entry.vector("velocity", 3, "m/s")))
-    return shape if path is None else MovingObstacle(shape, path)
+def _gliding(entry: Entry, shape: Shape) -> Obstacle:
+    if "velocity" not in entry.values:
+        return shape
+    return MovingObstacle(shape, ConstantVelocity(entry.vector("velocity", 3, "m/s")))
 
 
 def _rotation(entry: Entry) -> Float[np.ndarray, "3 3"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -25,13 +24,11 @@ Points: TypeAlias = Float[np.ndarray, "*batch 3"]
 Distances: TypeAlias = Float[np.ndarray, "*batch"]
 
 
-class Shape(ABC):
+class Shape:
     """A convex obstacle."""
 
-    @property
-    @abstractmethod
-    def row(self) -> Row:
-        """The shape as one row of floats (kinecast.geometry.distances)."""
+    row: Row
+    """The shape as one row of floats (kinecast.geometry.distances)."""
 
     def rows(self, times: Times) -> Rows:
         """(T, ROW) the shape at each time [s]: it stays where it is."""
@@ -59,15 +56,13 @@ class HalfSpace(Shape):
     normal: Vector
 
     def __post_init__(self) -> None:
-        normal = _vector("half-space normal", self.normal)
+        normal, point = _vector("half-space normal", self.normal), _vector("half-space point", self.point)
         length = float(np.linalg.norm(normal))
         if not length > 1e-9:
             raise OptionError(f"half-space normal {normal.tolist()} has no direction")
-        _freeze(self, point=_vector("half-space point", self.point), normal=normal / length)
-
-    @property
-    def row(self) -> Row:
-        return np.concatenate([[HALF_SPACE], self.point, self.normal, np.zeros(ROW - 7)])
+        normal /= length
+        row = np.concatenate([[HALF_SPACE], point, normal, np.zeros(ROW - 7)])
+        _freeze(self, point=point, normal=normal, row=row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +74,7 @@ class Box(Shape):
     rotation: Rotation = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
-        size = _vector("box size", self.size)
+        center, size = _vector("box center", self.center), _vector("box size", self.size)
         if not np.all(size > 0):
             raise OptionError(f"box size {size.tolist()} m: every length must be above 0")
         rotation = np.array(self.rotation, dtype=np.float64)
@@ -87,11 +82,7 @@ class Box(Shape):
             raise OptionError("box rotation is not a rotation matrix: its columns must be orthogonal and of length 1")
         if np.linalg.det(rotation) < 0:
             raise OptionError("box rotation is a reflection: its determinant must be +1")
-        _freeze(self, center=_vector("box center", self.center), size=size, rotation=rotation)
-
-    @property
-    def row(self) -> Row:
-        return _rounded_box(self.center, self.rotation, self.size / 2, 0.0)
+        _freeze(self, center=center, size=size, rotation=rotation, row=_rounded_box(center, rotation, size / 2, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +93,8 @@ class Sphere(Shape):
     radius: float
 
     def __post_init__(self) -> None:
-        _freeze(self, center=_vector("sphere center", self.center), radius=_radius("sphere", self.radius))
-
-    @property
-    def row(self) -> Row:
-        return _rounded_box(self.center, np.eye(3), np.zeros(3), self.radius)
+        center, radius = _vector("sphere center", self.center), _radius("sphere", self.radius)
+        _freeze(self, center=center, radius=radius, row=_rounded_box(center, np.eye(3), np.zeros(3), radius))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,18 +107,14 @@ class Capsule(Shape):
 
     def __post_init__(self) -> None:
         start, end = _vector("capsule start", self.start), _vector("capsule end", self.end)
-        _freeze(self, start=start, end=end, radius=_radius("capsule", self.radius))
-
-    @property
-    def row(self) -> Row:
-        length = float(np.linalg.norm(self.end - self.start))
-        rotation = np.eye(3)
+        radius, length, rotation = _radius("capsule", self.radius), float(np.linalg.norm(end - start)), np.eye(3)
         if length > 0.0:
-            z = (self.end - self.start) / length
+            z = (end - start) / length
             x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
             x /= np.linalg.norm(x)
             rotation = np.column_stack([x, np.cross(z, x), z])
-        return _rounded_box(0.5 * (self.start + self.end), rotation, np.array([0.0, 0.0, length / 2]), self.radius)
+        row = _rounded_box(0.5 * (start + end), rotation, np.array([0.0, 0.0, length / 2]), radius)
+        _freeze(self, start=start, end=end, radius=radius, row=row)
 
 
 def _rounded_box(center: Vector, rotation: Rotation, half: Vector, radius: float) -> Row:

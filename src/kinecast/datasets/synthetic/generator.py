@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,82 +20,56 @@ from kinecast.geometry.shapes import Box, Sphere
 
 BREATHING_TIME = 0.83
 """Correlation time of the common bone length [s]; HA4M: 0.96, 0.67, 0.26 after 1, 10, 30 frames at 30 Hz."""
-
 LARGEST_JUMP = 24.0
 """Fastest tracker jump [m/s], HA4M V001."""
-
 SWAPPED = 0.3
 """Share of jumps that exchange left and right for a moment; HA4M V001 at 34.1 s."""
-
 LOST_FRAMES = 5.0
 """Mean length of a dropout, in frames."""
 
-RANGES = {
-    "subjects": (1, 10_000),
-    "recordings": (1, 10_000),
-    "duration": (0.1, 3600.0),
-    "rate": (1.0, 1000.0),
-    "table_height": (0.8, 0.9),  # lower than any elbow, and within the reach of all
-    "hesitation": (0.0, 1.0),
-    "noise": (0.0, 0.1),
-    "breathing": (0.0, 0.2),
-    "repeated": (0.0, 0.9),
-    "jumps": (0.0, 10.0),
-    "dropouts": (0.0, 0.9),
-}
+
+def _option(default: int | float, low: int | float, high: int | float) -> Any:
+    """An option and its range."""
+    return field(default=default, metadata={"range": (low, high)})
 
 
 @dataclass(frozen=True)
 class SyntheticOptions:
-    """Options of `generate`. The sensor's defaults are what two HA4M clips show.
+    """Options of `generate`, OptionError outside their ranges. The sensor's defaults are what two HA4M clips show."""
 
-    Attributes:
-        subjects: how many people, each with an own build, tempo and handedness.
-        recordings: per person; the tasks pick_and_place, carrying, reaching take turns.
-        duration: of each recording [s].
-        rate: frames per second [Hz].
-        table_height: of the table's top [m]. People stand.
-        hesitation: share of reaches that set out for another goal first.
-        noise: standard deviation of each coordinate of the trunk [m]; 1.5 times as much at elbows and wrists.
-        breathing: standard deviation of the one factor by which all bones grow and shrink together.
-        repeated: share of frames that repeat the frame before.
-        jumps: tracker jumps per second.
-        dropouts: share of frames in which an arm is lost.
-    """
-
-    subjects: int = 4
-    recordings: int = 3
-    duration: float = 20.0
-    rate: float = 30.0
-    table_height: float = 0.9
-    hesitation: float = 0.1
-    noise: float = 0.0015  # HA4M: 1.3 mm at the neck to 2.4 mm at a wrist, from third differences
-    breathing: float = 0.04  # HA4M: 0.043 and 0.039 in V001 and V002
-    repeated: float = 0.025  # HA4M: 0.028 and 0.023
-    jumps: float = 0.15  # HA4M: about 20 in 80 s of V001, 10 in 88 s of V002
-    dropouts: float = 0.01  # HA4M has none, the Vicon recordings 0-5 %
+    subjects: int = _option(4, 1, 10_000)
+    """How many people, each with an own build, tempo and handedness."""
+    recordings: int = _option(3, 1, 10_000)
+    """Per person; the tasks pick_and_place, carrying, reaching take turns."""
+    duration: float = _option(20.0, 0.1, 3600.0)  # of each recording [s]
+    rate: float = _option(30.0, 1.0, 1000.0)  # frames per second [Hz]
+    table_height: float = _option(0.9, 0.8, 0.9)
+    """Of the table's top [m]: lower than any elbow, and within the reach of all. People stand."""
+    hesitation: float = _option(0.1, 0.0, 1.0)  # share of reaches that set out for another goal first
+    noise: float = _option(0.0015, 0.0, 0.1)
+    """Standard deviation of each coordinate of the trunk [m]; 1.5 times as much at elbows and wrists. HA4M: 1.3 mm at
+    the neck to 2.4 mm at a wrist, from third differences."""
+    breathing: float = _option(0.04, 0.0, 0.2)
+    """Standard deviation of the one factor by which all bones grow and shrink together; HA4M: 0.043 and 0.039."""
+    repeated: float = _option(0.025, 0.0, 0.9)  # share of frames that repeat the one before; HA4M: 0.028 and 0.023
+    jumps: float = _option(0.15, 0.0, 10.0)  # tracker jumps per second; HA4M: 20 in 80 s, 10 in 88 s
+    dropouts: float = _option(0.01, 0.0, 0.9)  # share of frames in which an arm is lost; Vicon: up to 5 %
 
     def __post_init__(self) -> None:
-        for name, (low, high) in RANGES.items():
-            if not low <= getattr(self, name) <= high:
-                raise OptionError(f"{name} {getattr(self, name)} is outside {low}..{high}")
+        for option in fields(self):
+            value, (low, high) = getattr(self, option.name), option.metadata["range"]
+            if not low <= value <= high:
+                raise OptionError(f"{option.name} {value} is outside {low}..{high}")
 
 
 @dataclass(frozen=True, eq=False)
 class Fetch:
-    """One reach.
+    """One reach."""
 
-    Attributes:
-        start: when it begins [s].
-        place: (3,) of the wrist, in the person's frame: on the floor, x forward, z up [m].
-        hold: how long the hand stays there [s].
-        left: with which hand; None for the one on the place's side.
-    """
-
-    start: float
-    place: Float[np.ndarray, "3"]
-    hold: float = 1.0
-    left: bool | None = None
+    start: float  # when it begins [s]
+    place: Float[np.ndarray, "3"]  # of the wrist, in the person's frame: on the floor, x forward, z up [m]
+    hold: float = 1.0  # how long the hand stays there [s]
+    left: bool | None = None  # with which hand; None for the one on the place's side
 
 
 def table_scene(options: SyntheticOptions) -> Scene:
