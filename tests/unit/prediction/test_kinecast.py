@@ -204,10 +204,6 @@ def lines(seed: int, count: int = 240) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     left = np.array([[0.0, 0.2, 1.4], [0.0, 0.25, 1.1], [0.2, 0.2, 1.0]])
     pose = np.concatenate([left, left * MIRROR])
-        0,
-        1,
-        0,
-    ]
     track = pose + 0.02 * rng.standard_normal((count, 1, 6, 3))
     track = track + 0.02 * rng.standard_normal((count, 1, 6, 3)) * np.arange(9)[:, None, None]
     return track[:, :6], track[:, 6:]
