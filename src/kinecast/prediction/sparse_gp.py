@@ -87,7 +87,9 @@ class SparseGPs(NamedTuple):
         Raises:
             ModelError: an array is missing, of another shape, or a variance is not above 0.
         """
-        _, rank, pseudo = (*np.shape(arrays.get("factor", 1.0)), 1, 1, 1)[:3]
+        pseudo, rank = (
+            (*np.shape(arrays.get(name, 0.0)), 1, 1, 1)[axis] for name, axis in (("pseudo", 2), ("factor", 1))
+        )
         shapes = [(inputs,), (inputs,), (inputs, pseudo), (pseudo,), (rank, pseudo), (), (), ()]
         named = zip(SparseGPs._fields, shapes, strict=True)
         processes = SparseGPs(*(shaped(arrays, name, count, *shape) for name, shape in named))
