@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.regions import Regions
 from kinecast.geometry.scene import NO_GOAL
+from kinecast.prediction.linear import slope_weights
 from kinecast.prediction.observation import Observation
 
 HANDS = ("left", "right")
@@ -57,7 +58,8 @@ CHANGE = 0.03
 VELOCITY = 4
 """Frames that the wrist's velocity is fitted to, a parabola in time."""
 
-Path = Float[np.ndarray, "K 2 3"]
+Path: TypeAlias = Float[np.ndarray, "K 2 3"]
+Scales: TypeAlias = tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]]
 
 
 @dataclass(frozen=True)
@@ -106,13 +108,9 @@ class GoalMixture:
 def goal_probabilities(
     regions: Regions, path: Path, end: Float[np.ndarray, "2 3"], dt: float
 ) -> Float[np.ndarray, "2 G1"]:
-    """(2, G + 1) probability that each hand heads for each goal; the last for none.
+    """(2, G + 1) probability that each hand heads for each of G > 0 goals; the last for none.
 
-    Args:
-        regions: the goals, G > 0.
-        path: (K, 2, 3) where the wrists were, dt apart, the newest last [m].
-        end: (2, 3) where the base forecast has them at its end [m].
-        dt: time between frames [s].
+    `path` is where the wrists were, dt [s] apart, the newest last, `end` where the base forecast ends [m].
     """
     away = np.sqrt(((path[:, :, None] - regions.centers) ** 2).sum(axis=-1))
     age = np.arange(len(path) - 2, -1, -1)
@@ -130,7 +128,7 @@ def goal_mixture(
     path: Path,
     mean: Float[np.ndarray, "T 6 3"],
     factor: Float[np.ndarray, "T 6 3 R"],
-    scales: tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]],
+    scales: Scales,
 ) -> GoalMixture:
     """The mixture over G > 0 goals around a base forecast: its mean and factor in the torso frame [m], its common
     factors and their weights. `path` is where the wrists were, the newest last, world [m].
@@ -184,7 +182,8 @@ def _paths(
 ) -> Float[np.ndarray, "2 G L P 3"]:
     """Minimum-jerk paths of both wrists to each goal for each time left, at some steps; at rest there afterwards."""
     wrists = observation.positions[:, WRISTS]
-    slope = _slope(min(VELOCITY, len(wrists)))
+    count = min(VELOCITY, len(wrists))
+    slope = slope_weights(count, min(2, count - 1))
     velocity = np.tensordot(slope, wrists[-len(slope) :], axes=1) / observation.dt
     left = np.array(TIMES)[:, None]
     u = np.clip(observation.dt * (pins + 1) / left, 0.0, 1.0)
@@ -194,23 +193,14 @@ def _paths(
     return now + way[..., None] * (goals[:, :, None, None] - now) + drift[..., None] * velocity[:, None, None, None]
 
 
-@cache
-def _slope(count: int) -> Float[np.ndarray, " K"]:
-    """Weights of the last frames in the slope, at the newest, of a parabola through them."""
-    return np.asarray(np.linalg.pinv(np.vander(np.arange(1.0 - count, 1.0), min(3, count), increasing=True))[1])
-
-
 def _hypotheses(
-    chance: Float[np.ndarray, " G1"],
-    solved: Float[np.ndarray, "H Q"],
-    scales: tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]],
+    chance: Float[np.ndarray, " G1"], solved: Float[np.ndarray, "H Q"], scales: Scales
 ) -> Float[np.ndarray, " H1"]:
     """(1 + H,) probabilities of one hand: none first, then each goal with each time left."""
     factors, weights = scales
     square = (solved**2).sum(axis=1) / (1.0 + DOUBT)
     parts = np.log(np.maximum(weights, 1e-300)) - solved.shape[1] * np.log(factors) - 0.5 * square[:, None] / factors**2
-    top = parts.max(axis=1)
-    evidence = (top + np.log(np.exp(parts - top[:, None]).sum(axis=1))).reshape(len(chance) - 1, -1)
+    evidence = np.logaddexp.reduce(parts, axis=1).reshape(len(chance) - 1, -1)
     times = np.exp(TEMPER * (evidence - evidence.max(axis=1, keepdims=True)))
     times /= times.sum(axis=1, keepdims=True)
     result = np.concatenate([chance[-1:], (chance[:-1, None] * times).ravel()])

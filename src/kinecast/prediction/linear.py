@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -146,10 +147,11 @@ def _difference(frames: int, intervals: int) -> Float[np.ndarray, " N"]:
     return velocity / intervals
 
 
+@cache
 def slope_weights(frames: int, degree: int) -> Float[np.ndarray, " N"]:
     """Weights of the slope at the last frame of a least-squares polynomial over the window."""
-    time = np.arange(frames) - (frames - 1.0)
-    return np.linalg.pinv(np.vander(time, degree + 1, increasing=True))[1]
+    time = np.arange(1.0 - frames, 1.0)
+    return np.asarray(np.linalg.pinv(np.vander(time, degree + 1, increasing=True))[1])
 
 
 def kalman_filter(frames: int, steps: int, ratio: float) -> WindowFilter:
@@ -172,12 +174,9 @@ def kalman_filter(frames: int, steps: int, ratio: float) -> WindowFilter:
 
 
 def fit_ridge(windows: Windows, futures: Futures, folds: Int[np.ndarray, " W"]) -> LinearMap:
-    """Ridge regression from the window to the displacement at every step; the penalty is cross-validated.
+    """Ridge regression from the window to the displacement at every step.
 
-    Args:
-        windows: (W, N, D) observed.
-        futures: (W, T, D) what followed.
-        folds: (W,) fold of each window; the penalty with the least mean point error on left-out folds is taken.
+    The penalty is the one with the least mean point error on left-out folds.
     """
     features = LinearMap.features(windows)
     targets = (futures - windows[:, -1:]).reshape(len(windows), -1)

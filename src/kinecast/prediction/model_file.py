@@ -141,11 +141,7 @@ def _check_kind(name: str, value: object, kinds: tuple[type, ...]) -> None:
 
 
 def write_model_file(path: Path, card: ModelCard, arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes a model whole or not at all: under another name first, then moved into place.
-
-    Raises:
-        ModelError: the folder does not exist or cannot be written, or the path is a folder.
-    """
+    """Writes a model whole or not at all: under another name first, then moved into place; ModelError if it cannot."""
     stored = {CARD: np.frombuffer(card.to_json().encode(), np.uint8), **arrays}
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:

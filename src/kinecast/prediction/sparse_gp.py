@@ -87,7 +87,9 @@ class SparseGPs(NamedTuple):
         Raises:
             ModelError: an array is missing, of another shape, or a variance is not above 0.
         """
-        pseudo, rank = _size(arrays.get("pseudo"), 2), _size(arrays.get("factor"), 1)
+        pseudo, rank = (
+            (*np.shape(arrays.get(name, 0.0)), 1, 1, 1)[axis] for name, axis in (("pseudo", 2), ("factor", 1))
+        )
         shapes = [(inputs,), (inputs,), (inputs, pseudo), (pseudo,), (rank, pseudo), (), (), ()]
         named = zip(SparseGPs._fields, shapes, strict=True)
         processes = SparseGPs(*(shaped(arrays, name, count, *shape) for name, shape in named))
@@ -155,11 +157,6 @@ def fit_sparse_gp(
         signal=np.array([signal * output_sd**2]),
         noise=np.array([noise * output_sd**2]),
     )
-
-
-def _size(array: Any, axis: int) -> int:
-    """Length of an array along an axis; 1 where it has none."""
-    return np.shape(array)[axis] if np.ndim(array) > axis else 1
 
 
 def _standard(data: np.ndarray) -> Any:

@@ -81,13 +81,9 @@ def log_survival(c: float, t: float) -> float:
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def tail_offset(c: float, loss: float) -> float:
-    """The step t ≥ 0 into the tail beyond c with log S(c, t) = −loss.
+    """The step t ≥ 0 into the tail beyond c ≥ 0 [sd] with log S(c, t) = −loss, loss in [0, ∞].
 
     Halley's method from the root of h t + h′ t²/2 ≈ loss; log S is concave in t, so it converges from anywhere.
-
-    Args:
-        c: where the tail begins, c ≥ 0 [sd].
-        loss: −log of the share of the tail that lies beyond c + t, in [0, ∞].
     """
     if loss <= 0.0 or c == math.inf:
         return 0.0
@@ -169,15 +165,8 @@ def sample(uniform: float, mean: float, sd: float, lower: float, upper: float) -
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def keep_or_redraw(draw: float, uniform: float, mean: float, sd: float, lower: float, upper: float) -> float:
-    """The draw where it keeps its bounds, else a fresh one from the truncated normal: Eq. 2's law, cheaply.
-
-    Args:
-        draw: drawn from N(mean, sd²), independent of `uniform`.
-        uniform: drawn from (0, 1); used only for a draw outside its bounds.
-    """
-    if lower <= draw <= upper:
-        return draw
-    return sample(uniform, mean, sd, lower, upper)
+    """A draw from N(mean, sd²) where it keeps its bounds, else a fresh one made of `uniform`: Eq. 2's law, cheaply."""
+    return draw if lower <= draw <= upper else sample(uniform, mean, sd, lower, upper)
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -34,6 +35,9 @@ RANK = 60
 """Directions kept of the correlation between all steps and joints."""
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 """Where the conformal correction is matched."""
+
+Errors: TypeAlias = Float[np.ndarray, "B T 6 3"]
+Speeds: TypeAlias = Float[np.ndarray, "B 6"]
 
 SCALES = np.array([0.3, 0.6, 1.0, 1.7, 3.0, 6.0])
 """The common factors of the mixture; their weights are fitted."""
@@ -185,9 +189,7 @@ class AdaptiveScale:
         self._means[self._newest], self._scales[self._newest], self._rotations[self._newest] = mean, scale, rotation
 
 
-def fit_error_model(
-    errors: Float[np.ndarray, "B T 6 3"], features: Float[np.ndarray, "B 6 F"], speeds: Float[np.ndarray, "B 6"]
-) -> ErrorModel:
+def fit_error_model(errors: Errors, features: Float[np.ndarray, "B 6 F"], speeds: Speeds) -> ErrorModel:
     """Scale, shape, correlation, common factor and conformal correction, in this order.
 
     From errors of the mean in each arm's own axes [m], `error_features`, and speeds of the joints [m per frame].
@@ -244,7 +246,7 @@ def _common_factor(square: Float[np.ndarray, " B"]) -> Float[np.ndarray, " K"]:
     return weights / weights.sum()
 
 
-def _correlation(white: Float[np.ndarray, "B T 6 3"]) -> Float[np.ndarray, "T 6 3 R"]:
+def _correlation(white: Errors) -> Float[np.ndarray, "T 6 3 R"]:
     """Leading directions of the correlation, rescaled so that each number keeps unit spread.
 
     Every example counts alike, however large its error: its common factor is divided out first.
@@ -260,12 +262,7 @@ def _correlation(white: Float[np.ndarray, "B T 6 3"]) -> Float[np.ndarray, "T 6 
     return factor.reshape(*white.shape[1:], kept)
 
 
-def _conformal(
-    white: Float[np.ndarray, "B T 6 3"],
-    speeds: Float[np.ndarray, "B 6"],
-    edges: Float[np.ndarray, "2"],
-    weights: Float[np.ndarray, " K"],
-) -> Float[np.ndarray, "3 T 3"]:
+def _conformal(white: Errors, speeds: Speeds, edges: np.ndarray, weights: np.ndarray) -> Float[np.ndarray, "3 T 3"]:
     """Per joint type, step and speed bin: by how much regions must grow to hold what they should."""
     radius = np.linalg.norm(white, axis=-1)
     bins = np.digitize(speeds, edges)

@@ -93,13 +93,9 @@ class Mixture:
         measured: Float[np.ndarray, "6 3"],
         made: Motions | None = None,
     ) -> MixtureOutput:
-        """Learns from the newest frame how the experts did, and mixes them anew.
+        """Learns from the newest frame, as measured, how the experts did, and mixes them anew.
 
-        Args:
-            errors: of this person; changed.
-            window: (N, 6, 3) repaired window, world [m].
-            measured: (6, 3) the newest frame as measured [m], NaN where it was not.
-            made: forecasts of the experts, where they are known already.
+        The person's `errors` are changed; `made` are forecasts of the experts where they are known already.
         """
         errors.observe(measured)
         due = errors.mean()
@@ -168,12 +164,12 @@ class Kinecast:
 
     @property
     def frames(self) -> int:
-        """N, length of the observation window."""
+        """N."""
         return self.mixture.frames
 
     @property
     def steps(self) -> int:
-        """T, number of predicted steps."""
+        """T."""
         return self.mixture.steps
 
     def init_state(self) -> State:
@@ -274,6 +270,7 @@ def ablations(whole: Kinecast) -> dict[str, Kinecast]:
     mixture, errors = whole.mixture, whole.error_model
     networks = {k for k, expert in enumerate(mixture.experts) if isinstance(expert, Network)}
     others = set(range(len(mixture.experts))) - networks
+    plain = replace(errors, conformal=np.ones_like(errors.conformal))
     return {
         "no network": replace(whole, mixture=_without(mixture, networks)),
         "no radial basis": replace(whole, mixture=_without(mixture, others)),
@@ -281,9 +278,7 @@ def ablations(whole: Kinecast) -> dict[str, Kinecast]:
         "no fallback": replace(whole, mixture=replace(mixture, falls_back=False)),
         "no memory": replace(whole, remembers=False),
         "no adaptive spread": replace(whole, adaptive=False),
-        "no conformal correction": replace(
-            whole, error_model=replace(errors, conformal=np.ones_like(errors.conformal))
-        ),
+        "no conformal correction": replace(whole, error_model=plain),
         "no limits, no scene": replace(whole, limits=None),
     }
 
