@@ -385,7 +385,8 @@ def test_trouble_while_writing_leaves_nothing(
     options = ("--stride", 100, "--samples", 20, "--repeats", 0, "--out", tmp_path / "new" / "results")
     outcome = kinecast("evaluate", "--model", model, "--test", tables[1], *options)
     assert outcome.code == code
-    assert outcome.err.startswith(message)
+    # A note that something is compiled may come first, on a machine where it has not been.
+    assert outcome.err.splitlines(keepends=True)[-1].startswith(message)
     assert list(tmp_path.iterdir()) == []
 
 
