@@ -148,36 +148,32 @@ def _nearest(
     rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
 ) -> None:
     """`half` (T, O, 3) are half widths of upright boxes around the obstacles: most limbs lie beyond them."""
-    for t in range(out.shape[1]):
-        for s in range(len(out)):
-            for k in range(len(limbs)):
-                i, j, known = limbs[k, 0], limbs[k, 1], 0.0
-                for axis in range(3):
-                    known += points[s, t, i, axis] + points[s, t, j, axis]
-                out[s, t, k] = math.nan if math.isnan(known) else most
-        for o in range(rows.shape[1]):
-            row = rows[t, o]
-            flat, cx, cy, cz, nx, ny, nz = row[0] == HALF_SPACE, row[1], row[2], row[3], row[4], row[5], row[6]
-            hx, hy, hz = half[t, o, 0], half[t, o, 1], half[t, o, 2]
-            for s in range(len(out)):
-                for k in range(len(limbs)):
-                    i, j, nearest = limbs[k, 0], limbs[k, 1], out[s, t, k]
-                    ax, ay, az = points[s, t, i, 0] - cx, points[s, t, i, 1] - cy, points[s, t, i, 2] - cz
-                    bx, by, bz = points[s, t, j, 0] - cx, points[s, t, j, 1] - cy, points[s, t, j, 2] - cz
-                    if flat:
-                        a, b = nx * ax + ny * ay + nz * az, nx * bx + ny * by + nz * bz
-                        distance = a if a < b else b
+    for s in range(out.shape[0]):
+        for t in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                i, j = limbs[k, 0], limbs[k, 1]
+                ax, ay, az = points[s, t, i, 0], points[s, t, i, 1], points[s, t, i, 2]
+                bx, by, bz = points[s, t, j, 0], points[s, t, j, 1], points[s, t, j, 2]
+                nearest = math.nan if math.isnan(ax + ay + az + bx + by + bz) else most
+                for o in range(rows.shape[1]):
+                    cx, cy, cz = rows[t, o, 1], rows[t, o, 2], rows[t, o, 3]
+                    if rows[t, o, 0] == HALF_SPACE:
+                        nx, ny, nz = rows[t, o, 4], rows[t, o, 5], rows[t, o, 6]
+                        distance = nx * (ax - cx) + ny * (ay - cy) + nz * (az - cz)
+                        other = nx * (bx - cx) + ny * (by - cy) + nz * (bz - cz)
+                        distance = other if other < distance else distance
                     else:
-                        x, y, z = hx + nearest, hy + nearest, hz + nearest
+                        x, y, z = half[t, o, 0] + nearest, half[t, o, 1] + nearest, half[t, o, 2] + nearest
                         if (
-                            (ax > x and bx > x) or (ax < -x and bx < -x)
-                            or (ay > y and by > y) or (ay < -y and by < -y)
-                            or (az > z and bz > z) or (az < -z and bz < -z)
+                            (ax - cx > x and bx - cx > x) or (cx - ax > x and cx - bx > x)
+                            or (ay - cy > y and by - cy > y) or (cy - ay > y and cy - by > y)
+                            or (az - cz > z and bz - cz > z) or (cz - az > z and cz - bz > z)
                         ):  # fmt: skip
                             continue
-                        distance = segment_distance(row, (ax + cx, ay + cy, az + cz), (bx + cx, by + cy, bz + cz))
+                        distance = segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz))
                     if distance < nearest:
-                        out[s, t, k] = distance
+                        nearest = distance
+                out[s, t, k] = nearest
 
 
 def limb_distances(

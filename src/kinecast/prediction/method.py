@@ -154,9 +154,10 @@ def forecast_in_scene(
         return replace(forecast, accepted=accepted, distinct=0)
     # Systematic resampling: every survivor is kept equally often, to within one.
     offsets = (np.arange(drawn) + rng.random()) * len(survivors) / drawn
-    kept = forecast.samples[survivors[offsets.astype(int)]]
-    mean = forecast.mean + (kept.mean(axis=0) - forecast.samples.mean(axis=0))
-    return replace(forecast, samples=kept, mean=mean, accepted=accepted, distinct=len(survivors))
+    kept = survivors[offsets.astype(int)]
+    gained = np.bincount(kept, minlength=drawn) - 1.0
+    mean = forecast.mean + (gained @ forecast.samples.reshape(drawn, -1)).reshape(steps, 6, 3) / drawn
+    return replace(forecast, samples=forecast.samples[kept], mean=mean, accepted=accepted, distinct=len(survivors))
 
 
 def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray, "T 6 3 3"]:
