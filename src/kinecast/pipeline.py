@@ -90,7 +90,12 @@ def frames(recording: Recording) -> Iterator[SkeletonFrame]:
         yield SkeletonFrame(float(stamp), recording.joints, positions, recording.person)
 
 
+def merged_frames(recordings: Sequence[Recording]) -> Iterator[SkeletonFrame]:
+    """Every frame of recordings made at the same time, one a person, by stamp."""
+    return heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp)
+
+
 def stream(recordings: Sequence[Recording], predictor: Predictor) -> Iterator[Prediction]:
-    """Every frame of recordings made at the same time, one a person, through the online predictor."""
-    for frame in heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp):
+    """Every frame of recordings made at the same time through the online predictor."""
+    for frame in merged_frames(recordings):
         yield predictor.observe(frame)

@@ -15,7 +15,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.method import Forecast, Method, forecast_in_scene, joint_covariances
-from kinecast.prediction.observation import Observation
+from kinecast.prediction.observation import STANDING, Observation
 from kinecast.track import Track
 from kinecast.types import Density, Prediction, SkeletonFrame, Status
 
@@ -104,10 +104,8 @@ class Predictor:
 
     def _warm_up(self) -> None:
         """Observes a resting figure, so that the first frame is as fast as the thousandth."""
-        left = [[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0]]
-        rest = np.array(left + [[x, -y, z] for x, y, z in left])
         for stamp in self.method.dt * np.arange(self.method.frames + 1):
-            self._observe(SkeletonFrame(float(stamp), ARM_JOINTS, rest), float(stamp))
+            self._observe(SkeletonFrame(float(stamp), ARM_JOINTS, STANDING), float(stamp))
         self._tracks.clear()
 
     def observe(self, frame: SkeletonFrame, now: float | None = None) -> Prediction:

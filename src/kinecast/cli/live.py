@@ -15,8 +15,8 @@ from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
-from kinecast.cli.options import ModelFile, OptionalFile, check_seed
-from kinecast.cli.progress import CONSOLE, compiling
+from kinecast.cli.options import ModelFile, OptionalFile, check_seed, read_predictor
+from kinecast.cli.progress import CONSOLE
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.predictor import Predictor, PredictorOptions
@@ -71,8 +71,7 @@ def live(
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
-    with compiling():
-        first = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
+    first = read_predictor(model, obstacles, options)
     mailbox = Mailbox()
     opened_sources: list[Source] = []
     opened_sinks: list[Sink] = []

@@ -11,7 +11,7 @@ from rich.live import Live as Screen
 from rich.table import Table
 from rich.text import Text
 
-from kinecast.cli.progress import CONSOLE, plain
+from kinecast.cli.progress import CONSOLE, plain, status_lines
 from kinecast.live.loop import Live
 from kinecast.live.mailbox import Feed
 from kinecast.types import Status
@@ -52,10 +52,7 @@ def tables(loop: Live, running: bool = True) -> Group:
         counters = sink.counters
         latencies = (f"{1e3 * counters.latency(share):.1f}" if counters.published else "–" for share in (0.5, 0.99))
         goes.add_row(Text(sink.address), str(counters.published), str(counters.dropped), *latencies)
-    lines = [
-        Text(f"{status.name}: {count}" + ("" if status is Status.OK else f"  ({status.advice})"))
-        for status, count in loop.statuses.copy().most_common()
-    ]
+    lines = map(Text, status_lines(loop.statuses.copy()))
     return Group(comes, Text(), goes, Text(), *lines)
 
 

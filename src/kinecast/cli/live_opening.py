@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from kinecast.live.settings import choice, number, settings_of, whole_number
 from kinecast.live.sinks import FileSink, JsonlSink, Sink, WebSocketSink
 from kinecast.live.sources import RecordedSource, Source, UdpSource, WebSocketSource
 from kinecast.live.xsens import DEFAULT_PORT, XsensGuard, XsensOptions
-from kinecast.pipeline import frames
+from kinecast.pipeline import merged_frames
 from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
@@ -175,7 +174,7 @@ def _recorded(source: Endpoint) -> Sequence[SkeletonFrame]:
 
         return bag_frames(source)
     recordings = one_scene(read_recordings((source.path,), None), source.path, "live")
-    return list(heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp))
+    return list(merged_frames(recordings))
 
 
 def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | None) -> Source:

@@ -10,10 +10,12 @@ from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-from kinecast.cli.progress import note
+from kinecast.cli.progress import compiling, note
 from kinecast.cli.recordings import FORMAT_NAMES
 from kinecast.errors import OptionError
+from kinecast.geometry.scene import Scene
 from kinecast.prediction.methods import METHODS
+from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.tasks import Serial, Workers
 
 _METHODS = "".join(f"\n• {name}: {about}" for name, about in METHODS.items())
@@ -53,6 +55,12 @@ def check_seed(seed: int) -> None:
     """Raises OptionError for a seed that no random generator takes."""
     if seed < 0:
         raise OptionError(f"seed is {seed}, allowed is 0 or more")
+
+
+def read_predictor(model: Path | None, scene: Scene | None, options: PredictorOptions) -> Predictor:
+    """The predictor of a model file, or the shipped one, compiled."""
+    with compiling():
+        return Predictor.load(model, scene, options) if model else Predictor.shipped(scene, options)
 
 
 @contextmanager

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from tyro.conf import Positional
 
-from kinecast.cli.options import File, FormatName, ModelFile, OptionalFile, check_file, check_seed
-from kinecast.cli.progress import compiling, progress_bar
+from kinecast.cli.options import File, FormatName, ModelFile, OptionalFile, check_file, check_seed, read_predictor
+from kinecast.cli.progress import progress_bar, status_lines
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.datasets.table import Rows, Words, require_extra, write_rows
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import stream
 from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.types import Prediction, Status
+from kinecast.types import Prediction
 
 
 def predict(
@@ -46,8 +46,7 @@ def predict(
     options = PredictorOptions(samples=samples, seed=seed)
     obstacles = None if scene is None else Scene.load(scene)
     recordings = one_scene(read_recordings((path,), format), path, "predict")
-    with compiling():
-        predictor = Predictor.load(model, obstacles, options) if model else Predictor.shipped(obstacles, options)
+    predictor = read_predictor(model, obstacles, options)
     predictions: list[Prediction] = []
     total = sum(len(recording.stamps) for recording in recordings)
     with progress_bar("predicting") as progress:
@@ -57,8 +56,8 @@ def predict(
     write_rows(out, _rows(predictions, path, predictor))
     p50, p99 = np.percentile([prediction.diagnostics["milliseconds"] for prediction in predictions], [50, 99])
     print(f"{out}: {len(predictions)} predictions; p50 {p50:.1f} ms, p99 {p99:.1f} ms a frame")
-    for status, count in Counter(prediction.status for prediction in predictions).most_common():
-        print(f"  {status.name}: {count}" + ("" if status is Status.OK else f"  ({status.advice})"))
+    for line in status_lines(Counter(prediction.status for prediction in predictions)):
+        print(f"  {line}")
 
 
 def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor) -> Rows:

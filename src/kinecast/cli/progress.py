@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from kinecast.types import Status
 
 CONSOLE = Console(stderr=True)
 
@@ -43,6 +46,14 @@ def plain(what: RenderableType) -> str:
     with console.capture() as text:
         console.print(what)
     return "\n".join(line.rstrip() for line in text.get().splitlines())
+
+
+def status_lines(counts: Counter[Status]) -> list[str]:
+    """A line for each status, the most frequent first, with what to do about it."""
+    return [
+        f"{status.name}: {count}" + ("" if status is Status.OK else f"  ({status.advice})")
+        for status, count in counts.most_common()
+    ]
 
 
 def note(text: str, style: str = "") -> None:

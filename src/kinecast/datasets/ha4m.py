@@ -96,13 +96,13 @@ def _bodies(camera: Path, alone: bool, path: Path, labels: dict[int, str] | None
     for frame, file in _frames(camera):
         for body, positions in _frame_bodies(file).items():
             tracks.setdefault(body, {})[frame] = positions
-    first, *others = sorted(tracks, key=lambda body: (-len(tracks[body]), body)) or [-1]
-    short = [body for body in others if len(tracks[body]) < 2]
+    bodies = sorted(tracks, key=lambda body: (-len(tracks[body]), body))
+    short = [body for body in bodies[1:] if len(tracks[body]) < 2]
     note = f"bodies seen in one frame only, left out: {', '.join(map(str, short))}"
-    for body in (body for body in (first, *others) if body in tracks and body not in short):
+    for body in (body for body in bodies if body not in short):
         frames = np.array(list(tracks[body]))
         yield Recording(
-            name=name if body == first else f"{name}/body{body}",
+            name=name if body == bodies[0] else f"{name}/body{body}",
             joints=AZURE_KINECT_32.joints,
             stamps=(frames - frames[0]) / _RATE,
             positions=from_camera(np.stack(list(tracks[body].values()))) / 1000.0,
@@ -113,7 +113,7 @@ def _bodies(camera: Path, alone: bool, path: Path, labels: dict[int, str] | None
             subject=_subject(clip),
             task=_TASK,
             labels=None if labels is None else tuple(labels.get(int(frame), "") for frame in frames),
-            notes=(note,) if short and body == first else (),
+            notes=(note,) if short and body == bodies[0] else (),
         )
 
 

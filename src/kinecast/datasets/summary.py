@@ -131,23 +131,22 @@ def summarise(recording: Recording) -> Summary:
 
 def _joint(recording: Recording, report: RepairReport, column: int) -> dict[str, float]:
     flaws, interpolated = report.flaws[:, column], report.interpolated[:, column]
-    gaps = _spans(flaws == Flaw.MISSING)
-    lengths = [float(recording.stamps[last] - recording.stamps[first]) + 1.0 / recording.rate for first, last in gaps]
+    gaps, stamps = runs(flaws == Flaw.MISSING), recording.stamps
+    lengths = [float(stamps[end - 1] - stamps[first]) + 1.0 / recording.rate for first, end in gaps]
     return {
         "missing": int(np.count_nonzero(flaws == Flaw.MISSING)) / max(len(flaws), 1),
         "gaps": len(gaps),
         "longest_gap": max(lengths, default=0.0),
-        "jumps": len(_spans(flaws == Flaw.JUMP)),
+        "jumps": len(runs(flaws == Flaw.JUMP)),
         "interpolated": int(np.count_nonzero(interpolated)),
         "left_missing": int(np.count_nonzero((flaws >= Flaw.MISSING) & ~interpolated)),
     }
 
 
-def _spans(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
-    """Runs of True as (first, last index)."""
-    edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return list(zip(starts.tolist(), (ends - 1).tolist(), strict=True))
+def runs(flags: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
+    """First and one past the last index of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
 def _bone(offsets: Float[np.ndarray, "N 3"]) -> dict[str, float]:

@@ -21,6 +21,7 @@ from jaxtyping import Float, Int
 
 from kinecast.datasets.files import BYTE_ORDER_MARK, MOST_POINTS, base_name, head, numbers, read_bytes
 from kinecast.datasets.recording import Description, Recording, describe
+from kinecast.datasets.resampling import measured_rate
 from kinecast.errors import DatasetError, MissingExtraError, OptionError
 
 _WORLD = "z up, right-handed, metres, seconds"
@@ -143,7 +144,7 @@ def _inferred(rows: Rows, person: str, path: Path) -> Description:
     stamps = np.unique(rows.stamp[mine])
     if len(stamps) < 2:
         raise DatasetError(path, f"{len(stamps)} frame of person {person!r}; at least 2 are needed to tell the rate")
-    rate = float(1.0 / np.median(np.diff(stamps)))
+    rate = measured_rate(stamps)
     name = base_name(path) if len(rows.person.names) == 1 else f"{base_name(path)}/{person}"
     joints = [rows.joint.names[code] for code in dict.fromkeys(rows.joint.codes[mine].tolist())]
     note = f"rate not stated; {rate:.6g} Hz from the stamps"

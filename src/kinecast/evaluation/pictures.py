@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
+from kinecast.evaluation.metrics import WRISTS
 from kinecast.evaluation.output import write_atomically
 from kinecast.evaluation.plots import BLUE, INK, MUTED, RED, STYLE, drawable, save_figure
 from kinecast.evaluation.scenery import OBSTACLE, Camera, draw_obstacles
@@ -36,7 +37,6 @@ AHEAD = LinearSegmentedColormap.from_list("ahead", ["#86cdee", BLUE, "#43278c"])
 
 DASHES = (0, (2.2, 1.3))
 
-WRISTS = (2, 5)
 SHOULDERS = (0, 3)
 UP = np.array([0.0, 0.0, 1.0])
 

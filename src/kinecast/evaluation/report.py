@@ -24,7 +24,7 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from kinecast.errors import MissingExtraError, OptionError
-from kinecast.evaluation.metrics import LEVELS
+from kinecast.evaluation.metrics import LEVELS, WRISTS
 from kinecast.evaluation.output import all_or_none, write_atomically
 from kinecast.evaluation.pictures import Moment, animate_prediction, draw_prediction
 from kinecast.evaluation.plots import (
@@ -102,7 +102,7 @@ def _busiest(
 ) -> tuple[Moment, str]:
     """A moment where the wrists move much (more than in 19 of 20 windows) and the whole future is known."""
     recording = max(recordings, key=lambda each: len(each.observations))
-    wrists = np.array([observation.positions[:, [2, 5]] for observation in recording.observations])
+    wrists = np.array([observation.positions[:, WRISTS] for observation in recording.observations])
     path = np.linalg.norm(np.diff(wrists, axis=1), axis=-1).sum(axis=(1, 2))
     path[~np.isfinite(recording.future).all(axis=(1, 2, 3))] = -1.0
     row = int(np.argsort(path)[int(0.95 * (len(path) - 1))])

@@ -15,6 +15,7 @@ from kinecast.body.posture import postures_from_points
 from kinecast.datasets.windows import Windows
 from kinecast.evaluation.metrics import (
     LEVELS,
+    WRISTS,
     block_bootstrap,
     crps,
     energy_score,
@@ -22,6 +23,7 @@ from kinecast.evaluation.metrics import (
     joint_errors,
     kde_nll,
     regions,
+    scored,
 )
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import followed, observations
@@ -177,13 +179,12 @@ class Scores:
     ) -> None:
         """Scores one forecast."""
         inside, volume, stretch = regions(forecast.samples, truth)
-        known = np.isfinite(truth).all(axis=-1)
         self.error.append(joint_errors(forecast.mean, truth))
         self.nll.append(-forecast.density.log_prob(truth) / NLL_JOINTS)
         self.kde.append(kde_nll(forecast.samples, truth))
         self.crps.append(crps(forecast.samples, truth))
         self.energy.append(energy_score(forecast.samples, truth))
-        self.inside.append(np.where(known, inside, np.nan))
+        self.inside.append(np.where(scored(truth), inside, np.nan))
         self.volume.append(volume)
         self.stretch.append(stretch)
         self.broken.append(_violations(forecast.samples, observation, scene, options.limits))
@@ -294,7 +295,7 @@ def _summary(
         "mpjpe_mm_by_step": [_mean(1e3 * error[:, t]) for t in range(error.shape[1])],
         "mpjpe_mm_stderr": stderr(1e3 * error),
         "moving_mpjpe_mm": _mean(1e3 * error[moving]),
-        "wrist_final_mm": _mean(1e3 * error[:, -1, [2, 5]]),
+        "wrist_final_mm": _mean(1e3 * error[:, -1, WRISTS]),
         "nll_stderr": stderr(nll),
         "kde_nll": _mean(np.array(scores.kde)),
         "energy_score_mm": _mean(1e3 * np.array(scores.energy)),

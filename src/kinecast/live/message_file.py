@@ -17,8 +17,10 @@ from jaxtyping import Float
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets.files import MOST_POINTS, base_name, chunks
 from kinecast.datasets.recording import Description, Recording
+from kinecast.datasets.resampling import measured_rate
 from kinecast.errors import DatasetError
 from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, person_of
+from kinecast.pipeline import frames
 from kinecast.types import SkeletonFrame
 
 LONGEST_LINE = 1 << 20
@@ -48,9 +50,7 @@ def labelled_frames(recordings: Sequence[Recording]) -> Iterator[tuple[SkeletonF
     """All persons' frames by stamp, each with its label."""
 
     def one(recording: Recording) -> Iterator[tuple[SkeletonFrame, str | None]]:
-        labels = recording.labels or (None,) * len(recording.stamps)
-        for stamp, positions, label in zip(recording.stamps, recording.positions, labels, strict=True):
-            yield SkeletonFrame(float(stamp), recording.joints, positions, recording.person), label
+        return zip(frames(recording), recording.labels or (None,) * len(recording.stamps), strict=True)
 
     return heapq.merge(*map(one, recordings), key=lambda each: each[0].stamp)
 
@@ -149,8 +149,8 @@ def _inferred(track: _Track, path: Path, format: str, person: str, alone: bool, 
     """What is not stated: the rate from the stamps, the name from the file."""
     if len(track.frames) < 2:
         raise DatasetError(path, f"{len(track.frames)} frame of person {person!r}; at least 2 tell the rate")
-    period = np.median(np.diff([frame.stamp for frame in track.frames]))
-    rate = float(f"{1.0 / period:.9g}")  # not what rounding of the stamps makes of it
+    stamps = np.array([frame.stamp for frame in track.frames])
+    rate = float(f"{measured_rate(stamps):.9g}")  # not what rounding of the stamps makes of it
     notes = [f"rate not stated; {rate:.6g} Hz from the stamps"]
     if predicted:
         notes.append(ROUNDED)

@@ -100,12 +100,12 @@ def mean_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int, 
 
 def zero_velocity(frames: int, steps: int) -> WindowFilter:
     """Nothing moves."""
-    return _moving_on(np.zeros(frames), np.zeros(steps))
+    return damped(np.zeros(frames), np.inf, steps)
 
 
 def constant_velocity(frames: int, steps: int) -> WindowFilter:
     """The velocity over the last two intervals goes on; over one alone it is mostly noise."""
-    return _moving_on(_difference(frames, 2), np.arange(1.0, steps + 1))
+    return damped(_difference(frames, 2), np.inf, steps)
 
 
 def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilter:
@@ -114,10 +114,9 @@ def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilt
     Estimators tried: the last interval, the last two, the slope of a line and of a parabola over the window. The pair
     with the least mean point error is taken, so the baseline is as strong as it can be.
     """
-    frames, time = windows.shape[1], np.arange(1, futures.shape[1] + 1)
+    frames, steps = windows.shape[1], futures.shape[1]
     estimators = [_difference(frames, 1), _difference(frames, 2), slope_weights(frames, 1), slope_weights(frames, 2)]
-    reaches = [-tau * np.expm1(-time / tau) for tau in TIME_CONSTANTS / dt]
-    filters = [_moving_on(velocity, reach) for velocity in estimators for reach in reaches]
+    filters = [damped(velocity, tau, steps) for velocity in estimators for tau in TIME_CONSTANTS / dt]
     return min(filters, key=lambda model: _mean_point_error(model.mean(windows), futures))
 
 
@@ -132,9 +131,10 @@ def kalman(windows: Windows, futures: Futures) -> WindowFilter:
     return min(filters, key=lambda model: float(np.mean((model.mean(windows)[:, 0] - futures[:, 0]) ** 2)))
 
 
-def _moving_on(velocity: Float[np.ndarray, " N"], reach: Float[np.ndarray, " T"]) -> WindowFilter:
-    """Last value + velocity [per frame] · reach [frames]."""
-    weights = np.outer(reach, velocity)
+def damped(velocity: Float[np.ndarray, " N"], tau: float, steps: int) -> WindowFilter:
+    """Last value + v·τ(1 − exp(−t/τ)), the velocity v [per frame] as weights over the window; τ in frames, inf: v·t."""
+    ahead = np.arange(1.0, steps + 1)
+    weights = np.outer(ahead if np.isinf(tau) else -tau * np.expm1(-ahead / tau), velocity)
     weights[:, -1] += 1.0
     return WindowFilter(weights)
 

@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,9 @@ FIELD_KINDS: dict[str, tuple[type, ...]] = {
 """Types of the card's plain entries."""
 
 
+A = TypeVar("A", bound="Arrays")
+
+
 class Arrays:
     """Base of dataclasses whose fields are arrays and dataclasses of them: they go into a model file by name."""
 
@@ -44,6 +47,16 @@ class Arrays:
             else:
                 arrays[name] = np.asarray(value)
         return arrays
+
+    @classmethod
+    def from_arrays(cls: type[A], arrays: Mapping[str, np.ndarray], prefix: str = "", **parts: Arrays) -> A:
+        """What `to_arrays` described, from names that begin with the prefix, its fields that are not arrays given.
+
+        Raises:
+            KeyError: an array is missing.
+        """
+        names = [f.name for f in dataclasses.fields(cls) if f.name not in parts]  # type: ignore[arg-type]
+        return cls(**parts, **{name: np.asarray(arrays[prefix + name], float)[()] for name in names})
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,9 @@ from kinecast.geometry.transforms import lengths
 
 LEFT_SHOULDER, RIGHT_SHOULDER = ARM_JOINTS.index("left_shoulder"), ARM_JOINTS.index("right_shoulder")
 
+STANDING = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
+"""(6, 3) somebody who stands still [m]: what predictors are warmed up and methods tried with."""
+
 
 def reference_frame(
     points: Float[np.ndarray, "*b 6 3"], up: Float[np.ndarray, "*b 3"]

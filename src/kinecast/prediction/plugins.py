@@ -16,13 +16,11 @@ import numpy as np
 
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.method import Forecast, Method
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import STANDING, Observation, TrainingWindows
 from kinecast.tasks import CARRIED
 
 NAME = re.compile(r"[\w.]+:[^\W\d]\w*")
 SAMPLES = 8
-STANDING = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
-"""(6, 3) somebody who stands [m]."""
 
 
 def is_plugin(name: str) -> bool:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
 
+from kinecast.datasets.summary import runs
 from kinecast.robot.cell import Cell
 from kinecast.robot.episode import Episode
 from kinecast.robot.person import Person
@@ -68,13 +68,13 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
     moving = np.array([tick.arm_speed > MOVES for tick in ticks])
     short = np.array([tick.margin < 0 for tick in ticks])
     waiting = np.array([tick.state in ON_THE_WAY and tick.arm_speed <= MOVES for tick in ticks])
-    stops = [last - first for first, last in _runs(waiting) if (last - first) * dt >= LONG_ENOUGH]
+    stops = [last - first for first, last in runs(waiting) if (last - first) * dt >= LONG_ENOUGH]
     missing = [name for name in cell.order if name not in episode.placed or name in episode.given_up]
     latency, planning = _percentiles(episode.latencies), _percentiles(episode.plannings)
     return Outcome(
         result=f"without {', '.join(missing)}" if missing else "done",
-        contacts=len(_runs(distance <= 0)),
-        contacts_moving=len(_runs((distance <= 0) & moving)),
+        contacts=len(runs(distance <= 0)),
+        contacts_moving=len(runs((distance <= 0) & moving)),
         least_distance=float(distance.min(initial=np.inf)),
         violation=dt * int((short & moving).sum()),
         time_to_done=episode.end if missing else max(episode.placed.values()),
@@ -87,12 +87,6 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
         planning_p50=planning[0],
         planning_p99=planning[1],
     )
-
-
-def _runs(flags: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
-    """First and one past the last index of every run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
 def _percentiles(seconds: Sequence[float]) -> tuple[float, float]:

@@ -25,7 +25,8 @@ from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 from kinecast.live.message import MessageError
-from kinecast.live.message_file import labelled_frames, message, recordings_of
+from kinecast.live.message_file import message, recordings_of
+from kinecast.pipeline import merged_frames
 from kinecast.ros.messages import Distribution, messages_of, points, upright
 from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
 from kinecast.ros.transport import Callback, Transport
@@ -63,7 +64,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
             raise DatasetError(recording.name, f"ROS can say stamps from 0 to {LATEST:.0f} s only")
     writer = BagWriter(path, Distribution.JAZZY, "mcap")
     try:
-        for frame, _ in labelled_frames(recordings):
+        for frame in merged_frames(recordings):
             common = {
                 "header": {"stamp": frame.stamp, "frame_id": FRAME}, "ns": frame.person, "type": SPHERE,
                 "scale": dict.fromkeys("xyz", DIAMETER), "color": dict.fromkeys("rgba", 1.0), "lifetime": 0.5,

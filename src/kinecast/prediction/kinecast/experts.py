@@ -8,7 +8,7 @@ what is scored.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from kinecast.errors import ModelError
 from kinecast.prediction.kinecast.features import FeatureScale, arm_views, time_basis
-from kinecast.prediction.linear import slope_weights
+from kinecast.prediction.linear import damped, slope_weights
 from kinecast.prediction.model_file import Arrays
 
 POSE_SHARE, LEVEL_SHARE = 1.5 / np.sqrt(18.0), 0.7
@@ -44,15 +44,10 @@ WIDTH, DROPPED = 256, 0.4
 
 @cache
 def trivial_experts(frames: int, steps: int) -> Float[np.ndarray, "E T N"]:
-    """(E, T, N) weights over the window of each trivial expert's prediction: last + velocity · τ(1 − exp(−t/τ))."""
-    ahead = np.arange(1.0, steps + 1)
-    weights = np.zeros((TRIVIAL, steps, frames))
-    for expert, (degree, tau) in zip(weights, DAMPED, strict=True):
-        reach = ahead if np.isinf(tau) else -tau * np.expm1(-ahead / tau)
-        if degree:
-            expert += np.outer(reach, slope_weights(frames, degree))
-        expert[:, -1] += 1.0
-    return weights
+    """(E, T, N) weights over the window of each trivial expert's prediction."""
+    velocities = [slope_weights(frames, degree) if degree else np.zeros(frames) for degree, _ in DAMPED]
+    taus = [tau for _, tau in DAMPED]
+    return np.stack([damped(v, tau, steps).weights for v, tau in zip(velocities, taus, strict=True)])
 
 
 def forecasts(
@@ -100,10 +95,12 @@ class RadialBasis(Arrays):
 
     def _kernel(self, features: Features) -> Float[np.ndarray, "V M"]:
         q = kernel_inputs(features, self.mean, self.components)
-        square = (
-            np.einsum("vq,vq->v", q, q)[:, None] + (self.pseudo_inputs**2).sum(axis=1) - 2.0 * q @ self.pseudo_inputs.T
-        )
-        return np.exp((-0.5 / self.lengthscale**2) * np.maximum(square, 0.0))
+        return np.exp((-0.5 / self.lengthscale**2) * _square_distances(q, self.pseudo_inputs))
+
+
+def _square_distances(a: Float[np.ndarray, "V Q"], b: Float[np.ndarray, "M Q"]) -> Float[np.ndarray, "V M"]:
+    square = np.einsum("vq,vq->v", a, a)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
+    return np.maximum(square, 0.0)
 
 
 def kernel_inputs(
@@ -165,15 +162,9 @@ def expert_from_arrays(arrays: Mapping[str, np.ndarray]) -> Expert:
     """The expert that `to_arrays` described; ModelError where an array is missing."""
     kind = RadialBasis if "pseudo_inputs" in arrays else Network
     try:
-        scale = {f.name: _number_or_array(arrays[f"scale.{f.name}"]) for f in fields(FeatureScale)}
-        own = {f.name: _number_or_array(arrays[f.name]) for f in fields(kind) if f.name != "scale"}
+        return kind.from_arrays(arrays, scale=FeatureScale.from_arrays(arrays, "scale."))
     except KeyError as error:
         raise ModelError(f"expert without the array {error}") from None
-    return kind(FeatureScale(**scale), **own)
-
-
-def _number_or_array(array: np.ndarray) -> Any:
-    return np.asarray(array, float) if np.ndim(array) else float(array)
 
 
 class ExpertExamples:
@@ -214,8 +205,7 @@ def fit_radial_basis(
     rng = np.random.default_rng(seed)
     found = centres(rng, q[rng.permutation(count)[: 8 * BLOCK]], min(pseudo_inputs, count // 2))
     some = q[:: max(count // 2000, 1)]
-    square = ((some**2).sum(axis=1)[:, None] + (found**2).sum(axis=1) - 2.0 * some @ found.T).clip(0.0)
-    lengthscale = 0.7 * float(np.sqrt(np.median(square)))
+    lengthscale = 0.7 * float(np.sqrt(np.median(_square_distances(some, found))))
     penalty = np.concatenate([np.full(inputs + 1, 0.03), np.full(len(found), 1e-3)])
     empty = np.zeros((len(penalty), data.coefficients.shape[1]))
     model = RadialBasis(data.scale, mean, components, found, lengthscale, empty)

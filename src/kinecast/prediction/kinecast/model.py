@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -298,10 +298,10 @@ def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> K
     parts: dict[str, dict[str, np.ndarray]] = {}
     for name, array in arrays.items():
         part, _, own = name.partition(".")
-        parts.setdefault(part, {})[own] = np.asarray(array, float)
+        parts.setdefault(part, {})[own] = array
     experts = [expert_from_arrays(parts[f"expert{k}"]) for k in range(sum(name.startswith("expert") for name in parts))]
-    gate = Gate(**{f.name: parts["gate"][f.name] for f in fields(Gate)})
-    error_model = ErrorModel(**{f.name: parts["spread"][f.name] for f in fields(ErrorModel)})
+    gate = Gate.from_arrays(parts["gate"])
+    error_model = ErrorModel.from_arrays(parts["spread"])
     if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != card.steps:
         raise ValueError(f"{len(experts)} experts, {error_model.factor.shape[0]} steps")
     return Kinecast(Mixture(experts, gate, card.frames, card.steps), error_model, card.dt, card.noise, card.limits)
