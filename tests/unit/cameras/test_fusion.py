@@ -303,27 +303,27 @@ def test_cameras_of_a_rig_are_one_source_that_ends_when_they_all_have() -> None:
             break
     for feed in feeds.values():
         feed.end()
-    for _ in range(60):
-        if mailbox.finished:
-            break
-        mailbox.take(1.0)
-    assert mailbox.finished
-    source.close()
+    close_at_end(mailbox, source)
     assert len(frames) >= 10
     assert max(error(frame, still).max() for frame in frames) < 1e-3
     assert all(feed.received == k + 1 for feed in feeds.values())
 
 
-def test_a_rig_of_which_nothing_can_come_does_not_keep_the_others_waiting() -> None:
-    mailbox = Mailbox()
-    source = FusedSource(RIG, mailbox.feed("fusion"))
-    source.start()
+def close_at_end(mailbox: Mailbox, source: FusedSource) -> None:
+    """Waits a minute at the most until every feed has ended."""
     for _ in range(600):
         if mailbox.finished:
             break
         mailbox.take(0.1)
     assert mailbox.finished
     source.close()
+
+
+def test_a_rig_of_which_nothing_can_come_does_not_keep_the_others_waiting() -> None:
+    mailbox = Mailbox()
+    source = FusedSource(RIG, mailbox.feed("fusion"))
+    source.start()
+    close_at_end(mailbox, source)
 
 
 def test_messages_of_pixels_and_of_a_cameras_own_skeletons_reach_the_fusion() -> None:
