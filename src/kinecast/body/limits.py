@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numba import njit
 
-from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM, USUAL_RANGE
+from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM, USUAL_RANGE, Angles
 from kinecast.errors import OptionError
 
 Posture: TypeAlias = Float[np.ndarray, "18"]
@@ -143,6 +143,17 @@ def bounds(lower: float, upper: float, speed: float, previous: float, dt: float)
 
 @njit(cache=True)
 @no_type_check
+def wrist_levers(theta: Angles, upper: float, fore: float) -> Angles:
+    """|∂wrist/∂θ_i| of four angles [rad] and two lengths [m], relative to the torso [m] (kernel)."""
+    s2, c2 = math.sin(theta[1]), math.cos(theta[1])
+    across, along = fore * math.sin(theta[3]), upper + fore * math.cos(theta[3])
+    ahead, outward = across * math.cos(theta[2]), across * math.sin(theta[2])
+    swing = c2 * along - s2 * outward
+    return math.hypot(ahead, swing), math.hypot(along, outward), math.fabs(across), fore
+
+
+@njit(cache=True)
+@no_type_check
 def speeds_within_wrist_speed(posture: np.ndarray, speed: np.ndarray, wrist_speed: float, out: np.ndarray) -> None:
     """Speeds that also hold the wrist's: min(speed_i, v / |∂wrist/∂θ_i|), each angle alone (kernel).
 
@@ -153,14 +164,8 @@ def speeds_within_wrist_speed(posture: np.ndarray, speed: np.ndarray, wrist_spee
     if math.isinf(wrist_speed):
         return
     for at in (6, 12):
-        upper, fore = posture[at + 4], posture[at + 5]
-        s2, c2 = math.sin(posture[at + 1]), math.cos(posture[at + 1])
-        across = fore * math.sin(posture[at + 3])
-        along = upper + fore * math.cos(posture[at + 3])
-        ahead = across * math.cos(posture[at + 2])
-        outward = across * math.sin(posture[at + 2])
-        swing = c2 * along - s2 * outward
-        lever = (math.hypot(ahead, swing), math.hypot(along, outward), math.fabs(across), fore)
+        theta = (posture[at], posture[at + 1], posture[at + 2], posture[at + 3])
+        lever = wrist_levers(theta, posture[at + 4], posture[at + 5])
         for i in range(4):
             if lever[i] * speed[at + i] > wrist_speed:
                 out[at + i] = wrist_speed / lever[i]

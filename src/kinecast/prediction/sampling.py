@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numba import njit
 
-from kinecast.body.limits import JointLimits, bounds
-from kinecast.body.posture import ANGLES, LENGTHS, nearest_turn, postures_from_points
+from kinecast.body.limits import JointLimits, bounds, wrist_levers
+from kinecast.body.posture import ANGLES, LENGTHS, arm_vectors, nearest_turn, out_of_torso, postures_from_points
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.truncated_normal import sample
@@ -210,15 +210,18 @@ def _hold_within_bounds(
                     if not held[c]:
                         _turn_to(angle, before, i1, i2, i3, i4)
                         u = uniforms[t, b * BLOCK + c]
-                        upper_arm, forearm = bones[2 * arm], bones[2 * arm + 1]
-                        if t > 0 and wrist_reach != np.inf:
-                            upper_arm, forearm = _bones(poses[t - 1, b], arm, c)
+                        levers = (0.0, 0.0, 0.0, 0.0)
+                        if wrist_reach != np.inf:
+                            upper_arm, forearm = bones[2 * arm], bones[2 * arm + 1]
+                            if t > 0:
+                                upper_arm, forearm = _bones(poses[t - 1, b], arm, c)
+                            held_at = (before[i1], before[i2], before[i3], before[i4])
+                            levers = wrist_levers(held_at, upper_arm, forearm)
                         changed = False
                         for k in range(a, a + 4):
                             i, far = k * BLOCK + c, reach[k]
-                            if wrist_reach != np.inf:
-                                lever = _lever(before[i2], before[i3], before[i4], upper_arm, forearm, k - a)
-                                far = wrist_reach / lever if far * lever > wrist_reach else far
+                            if far * levers[k - a] > wrist_reach:
+                                far = wrist_reach / levers[k - a]
                             lb, ub = bounds(lower[k], upper[k], far, before[i], 1.0)
                             if not lb <= angle[i] <= ub:
                                 about = centre[t, k] if k == a + 3 else nearest_turn(centre[t, k], before[i])
@@ -253,17 +256,6 @@ def _bones(p: np.ndarray, arm: int, c: int) -> tuple[float, float]:
     return math.sqrt(upper), math.sqrt(fore)
 
 
-@njit(cache=True)
-@no_type_check
-def _lever(theta2: float, theta3: float, theta4: float, upper: float, fore: float, k: int) -> float:
-    """|∂ wrist / ∂ θ_k| relative to the torso [m]."""
-    across, along = fore * math.sin(theta4), upper + fore * math.cos(theta4)
-    outward = across * math.sin(theta3)
-    if k == 0:
-        return math.hypot(across * math.cos(theta3), math.cos(theta2) * along - math.sin(theta2) * outward)
-    return math.hypot(along, outward) if k == 1 else math.fabs(across) if k == 2 else fore
-
-
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def _place_arm(p: np.ndarray, angle: np.ndarray, i1: int, i2: int, i3: int, i4: int, arm: int, c: int) -> None:
@@ -275,20 +267,12 @@ def _place_arm(p: np.ndarray, angle: np.ndarray, i1: int, i2: int, i3: int, i4: 
     level = math.sqrt(x * x + y * y)
     width = math.sqrt(level * level + z * z)
     sy, cy, sr, cr = -x / level, y / level, z / width, level / width
-    s1, c1, s2, c2 = math.sin(angle[i1]), math.cos(angle[i1]), math.sin(angle[i2]), math.cos(angle[i2])
-    s3, c3, s4, c4 = math.sin(angle[i3]), math.cos(angle[i3]), math.sin(angle[i4]), math.cos(angle[i4])
-    ux, uy, uz = c2 * s1, side * s2, -c2 * c1
-    fx = c4 * ux + s4 * (c3 * c1 - s3 * s2 * s1)
-    fy = c4 * uy + s4 * s3 * side * c2
-    fz = c4 * uz + s4 * (c3 * s1 + s3 * s2 * c1)
-    ahead = cr * uy - sr * uz
-    p[e] = p[s] + upper * (cy * ux - sy * ahead)
-    p[e + y1] = p[s + y1] + upper * (sy * ux + cy * ahead)
-    p[e + z1] = p[s + z1] + upper * (sr * uy + cr * uz)
-    ahead = cr * fy - sr * fz
-    p[w] = p[e] + fore * (cy * fx - sy * ahead)
-    p[w + y1] = p[e + y1] + fore * (sy * fx + cy * ahead)
-    p[w + z1] = p[e + z1] + fore * (sr * fy + cr * fz)
+    u, f = arm_vectors((angle[i1], angle[i2], angle[i3], angle[i4]), upper, fore, side)
+    u, f = out_of_torso(u, sy, cy, sr, cr), out_of_torso(f, sy, cy, sr, cr)
+    for axis in range(3):
+        along = axis * BLOCK
+        p[e + along] = p[s + along] + u[axis]
+        p[w + along] = p[e + along] + f[axis]
 
 
 @njit(cache=True, nogil=True)
