@@ -1,10 +1,14 @@
-"""How well methods do where they were not trained: other clips, other tasks, other people, cameras and rates.
+"""How well methods do where they were not trained: other people, tasks, cameras and rates.
 
-python -m benchmarks.generalisation --data FOLDER [--only NAME ...] [--methods a,b,c] [--out JSON]
+python -m benchmarks.generalisation --data FOLDER [--only NAME ...] [--models FOLDER] [--old FILE] [--motions]
+    [--methods a,b,c] [--out JSON] [--table]
 
-FOLDER holds the recordings as docs/datasets.md names them. Every split trains anew, on what it does not test:
-HA4M clip V001 for V002; each Vicon task from the five others; LEGO and KTH from all Vicon tasks, trained once. Results
-are added to the JSON file split by split, so that a run can be continued.
+FOLDER holds the recordings as docs/datasets.md names them. Each set that may train is tested by models trained on all
+others, those in `ONLY_TESTED` by models trained on all that may train, each Vicon task by the five others, HA4M clip
+V002 by V001. Everything is at 30 Hz, 6 frames seen, 0.5 s ahead; methods follow every frame. --models: `kinecast` is
+read from NAME.npz there, NAME being `all`, `without_SET`, `without_TASK` or `HA4M_V001`, and trained where there is no
+such file. --old: one more model, whatever it was trained on. Results are added to the JSON file method by method, so
+that a run can be continued. --table prints what the file holds, for docs/results.md, and runs nothing.
 """
 
 from __future__ import annotations
@@ -12,43 +16,74 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from benchmarks.generalisation_scores import DERIVATIVES, TUBES, Watched, motions_summary, summary
+from benchmarks.machine import RESULTS, facts, save
 from kinecast.body.limits import JointLimits
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, training_windows
+from kinecast.prediction.gaussian import PositionGaussian
+from kinecast.prediction.linear import damped
 from kinecast.prediction.method import Method
-from kinecast.prediction.methods import TrainingOptions, limits_of, train
+from kinecast.prediction.methods import TrainingOptions, limits_of, read_method, train
+from kinecast.prediction.noise import sensor_noise
 
-VICON, HA4M, LEGO, KTH = (
-    "human_robot_animations",
-    "ha4m_features_demo/UpSkel",
-    "human_assembly_data",
-    "kth_handover_sample",
-)
-TRIVIAL = ("zero_velocity", "constant_velocity", "damped_velocity")
+VICON, HA4M = "human_robot_animations", "ha4m_features_demo/UpSkel"
+TASKS = ("CollaborativeHammering", "CollaborativeLifting", "CollaborativeStacking", "HumanRobotHandover",
+         "PickPlaceCloseHuman", "TossTheCan")  # fmt: skip
+ALONE = (VICON, "human_assembly_data", "kth_handover_sample", "react_idle", "precog", "cmu")
+SETS = {name: [name] for name in ALONE} | {"ui_prmd": ["ui_prmd_vicon", "ui_prmd_kinect"]}  # the same people twice
+"""Folders of each set that may train."""
+ONLY_TESTED = (HA4M, "mhad", "handover_zed")
+TRIVIAL = ("zero_velocity", "constant_velocity", "damped_velocity", "damped_085")
 METHODS = (*TRIVIAL, "kalman", "ridge", "kinecast")
-RESULTS = Path(__file__).parent / "results" / "generalisation.json"
+SHOWN = ("old", "kinecast")
+FADES = 0.85
+"""What is left of the velocity after each frame in `damped_085`."""
+GAINS = ("mpjpe_mm", "moving_mpjpe_mm", "crps_mm")
+KEPT = ("mpjpe_mm", "mpjpe_mm_stderr", "moving_mpjpe_mm", "wrist_final_mm", "mpjpe_mm_by_step", "crps_mm", "nll",
+        "energy_score_mm", "nll_stderr", "coverage", "moving", "violations")  # fmt: skip
+OPTIONS = WindowOptions(rate=30.0, window=0.2, horizon=0.5)
+RECORDINGS = 240
+"""Most recordings of a set that are scored, unless it has more pairs of subject and task."""
+FITTED = 40_000
+"""Most windows that baselines are fitted on: every n-th."""
 
 
-def splits(data: Path) -> dict[str, tuple[list[Recording], list[Recording]]]:
-    """Name of each split: what is trained on, what is tested."""
-    vicon = load_all([data / VICON])
-    found = {
-        "HA4M V002": (load_all([data / HA4M / "IDU001V001.npy"]), load_all([data / HA4M / "IDU001V002.npy"])),
-    }
-    for task in sorted({recording.task for recording in vicon}):
-        inside = [recording for recording in vicon if recording.task != task]
-        found[task] = (inside, [recording for recording in vicon if recording.task == task])
-    found["LEGO"] = (vicon, load_all([data / LEGO]))
-    found["KTH"] = (vicon, load_all([data / KTH]))
-    return found
+@dataclass(frozen=True)
+class Split:
+    """What is trained on and tested, as paths below the data folder; splits of one `model` train on the same."""
+
+    name: str
+    model: str
+    training: tuple[str, ...]
+    tested: str
+
+
+def splits(permitted: Sequence[str] = tuple(SETS)) -> Iterator[Split]:
+    """All of them, those of one model together; only the permitted sets train where sets are left out."""
+
+    def others(name: str) -> tuple[str, ...]:
+        return tuple(folder for other in permitted if other != name for folder in SETS[other])
+
+    for name, folders in SETS.items():
+        for folder in folders:
+            yield Split(folder, f"without_{name}", others(name), folder)
+    for folder in ONLY_TESTED:
+        yield Split(folder.partition("/")[0], "all", others(""), folder)
+    for task in TASKS:
+        yield Split(task, f"without_{task}", tuple(f"{VICON}/{t}" for t in TASKS if t != task), f"{VICON}/{task}")
+    yield Split("HA4M V002", "HA4M_V001", (f"{HA4M}/IDU001V001.npy",), f"{HA4M}/IDU001V002.npy")
 
 
 @dataclass(frozen=True)
@@ -56,76 +91,179 @@ class Trained:
     """Methods trained on some recordings.
 
     Attributes:
-        on: names of the recordings.
         methods: by name.
         limits: found in training.
-        windows: how many.
+        windows: how many, and how many of them baselines were fitted on.
         seconds: it took.
     """
 
-    on: tuple[str, ...]
-    methods: Mapping[str, Method[Any]]
+    methods: dict[str, Method[Any]]
     limits: JointLimits
-    windows: int
+    windows: tuple[int, int]
     seconds: float
 
 
 def fit(names: Sequence[str], recordings: Sequence[Recording]) -> Trained:
-    """All methods, trained on every window of some recordings."""
-    data, settings = training_windows(recordings, WindowOptions()), TrainingOptions()
+    """Methods trained on recordings: `kinecast` on every window, baselines on every n-th.
+
+    The one place that trains. Methods may predict further than is scored: `Watched` cuts them.
+    """
+    started, settings = time.perf_counter(), TrainingOptions()
+    data = training_windows(recordings, WindowOptions())
+    some = data.take(np.arange(0, len(data), -(-len(data) // FITTED)))
+    methods = train([name for name in names if name not in ("damped_085", "kinecast")], some, settings)
+    if "damped_085" in names:
+        frames, steps, _ = some.shape
+        velocity = np.zeros(frames)
+        velocity[[-1, -3]] = 0.5, -0.5  # the last two intervals, as for constant velocity
+        fading = damped(velocity, -1.0 / np.log(FADES), steps)
+        methods["damped_085"] = PositionGaussian.fit(lambda *_: fading, some, sensor_noise(some))
+    if "kinecast" in names:
+        methods |= train(["kinecast"], data, settings)
+    return Trained(methods, limits_of(data, settings), (len(data), len(some)), time.perf_counter() - started)
+
+
+def spread(recordings: Sequence[Recording], most: int = RECORDINGS) -> list[Recording]:
+    """All recordings, or equally many, evenly spaced, of each subject at each task: at most so many if that can be."""
+    if len(recordings) <= most:
+        return list(recordings)
+    cells = defaultdict(list)
+    for place, recording in enumerate(recordings):
+        cells[recording.subject, recording.task].append(place)
+    each = max(1, most // len(cells))
+    chosen = {cell[k] for cell in cells.values() for k in np.linspace(0, len(cell) - 1, each).round().astype(int)}
+    return [recordings[place] for place in sorted(chosen)]
+
+
+def scored_on(found: Sequence[Recording], windows: int) -> tuple[list[TestRecording], dict[str, Any]]:
+    """At most about so many windows, evenly from recordings spread over subjects and tasks; how they were chosen."""
+    chosen = spread(found)
+    frames = sum(max(recording.duration * OPTIONS.rate - OPTIONS.predicted_steps, 0.0) for recording in chosen)
+    options = replace(OPTIONS, stride=max(1, round(frames / windows)))
+    recordings = TestRecording.of(all_windows(chosen, options), all_windows(chosen, every_frame(options)))
+    count = sum(len(each.observations) for each in recordings)
+    about = {"windows": count, "stride": options.stride, "recordings": len(recordings), "recordings_of": len(found)}
+    return recordings, about | ({"names": [r.name for r in recordings]} if len(chosen) < len(found) else {})
+
+
+def score(
+    method: Method[Any], recordings: Sequence[TestRecording], options: EvaluationOptions, motions: bool
+) -> dict[str, Any]:
+    """One method's entry: the evaluation's figures and those of `generalisation_scores`."""
     started = time.perf_counter()
-    methods = train(names, data, settings)
-    seconds = time.perf_counter() - started
-    return Trained(names_of(recordings), methods, limits_of(data, settings), len(data), seconds)
+    truths: dict[int, np.ndarray] = {}
+    for recording in recordings:
+        rows = {frame: row for row, frame in enumerate(recording.frames.tolist())}
+        truths |= {id(seen): recording.future[rows[at]] for at, seen, _ in recording.history if at in rows}
+    watched = Watched(method, OPTIONS.predicted_steps, truths, motions)
+    results, _ = evaluate({"it": watched}, recordings, None, options)
+    entry = {name: results["methods"]["it"][name] for name in KEPT} | summary(watched.notes)
+    entry["violations_of_truth"] = results["ground_truth_violations"]
+    if motions:
+        owner = np.concatenate([np.full(len(r.observations), k) for k, r in enumerate(recordings)])
+        entry["motions"] = motions_summary(watched.notes, owner, method.dt)
+    return entry | {"seconds": time.perf_counter() - started}
 
 
-def names_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    return tuple(recording.name for recording in recordings)
+def gains(methods: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Of each method that is not trivial: its figure over the least of the trivial ones, by hindsight, less one."""
+    found: dict[str, dict[str, float]] = defaultdict(dict)
+    for figure in GAINS:
+        values = {name: each[figure] for name, each in methods.items() if each[figure] is not None}
+        trivial = [values[name] for name in TRIVIAL if name in values]
+        for name in values.keys() - set(TRIVIAL) if trivial else ():
+            found[name][figure] = values[name] / min(trivial) - 1.0
+    return dict(found)
 
 
-def run(trained: Trained, tested: Sequence[Recording], samples: int) -> dict[str, object]:
-    """One split: scores of methods on recordings they have not seen."""
-    options = WindowOptions()
-    recordings = TestRecording.of(all_windows(tested, options), all_windows(tested, every_frame(options)))
-    scores = EvaluationOptions(samples=samples, repeats=0, limits=trained.limits)
-    results, _ = evaluate(trained.methods, recordings, None, scores)
-    return {"training_windows": trained.windows, "training_seconds": trained.seconds, **results}
+def run(arguments: argparse.Namespace, results: dict[str, Any]) -> None:
+    """Scores what is missing in the results and writes them after each method."""
+    trained: dict[str, Trained] = {}  # the newest alone, by its model's name
+    before, asked = facts(), arguments.methods.split(",") + (["old"] if arguments.old else [])
+    protocol = {"rate": OPTIONS.rate, "window": OPTIONS.window, "horizon": OPTIONS.horizon}
+    for split in splits(arguments.train):
+        entry = results.get(split.name, {"methods": {}})
+        names = [name for name in asked if name and name not in entry["methods"]]
+        if (arguments.only and split.name not in arguments.only) or not names:
+            continue
+        files = {"old": arguments.old, "kinecast": arguments.models and arguments.models / f"{split.model}.npz"}
+        given = {name: read_method(files[name])[1] for name in names if files.get(name) and files[name].exists()}
+        needed = [name for name in names if name not in given]
+        if split.model not in trained or not set(needed) <= trained[split.model].methods.keys():
+            trained = {split.model: fit(needed, load_all([arguments.data / path for path in split.training]))}
+        fitted = trained[split.model]
+        recordings, about = scored_on(load_all([arguments.data / split.tested]), arguments.windows)
+        about |= {"samples": arguments.samples, "trained_on": list(split.training)}
+        if entry.get("test", about) != about:
+            raise SystemExit(
+                f"{split.name}: {arguments.out} holds other windows, samples or training; give another --out"
+            )
+        entry |= {"model": split.model, "training_windows": fitted.windows, "training_seconds": fitted.seconds}
+        entry["test"] = about
+        options = EvaluationOptions(samples=arguments.samples, repeats=0, limits=fitted.limits)
+        for name, method in ((name, (fitted.methods | given)[name]) for name in names):
+            entry["methods"][name] = score(method, recordings, options, arguments.motions)
+            entry["gains"] = gains(entry["methods"])
+            results[split.name] = entry
+            save("generalisation", {"protocol": protocol, "splits": results}, arguments.out, before)
+            print(f"{split.name:24} {name:18} {entry['methods'][name]['mpjpe_mm']:6.1f} mm", flush=True)
+
+
+def table(results: dict[str, Any]) -> str:
+    """Results as markdown: errors of all methods, what distributions are worth, how drawn motions move."""
+    names = [name for name in (*METHODS[:-1], *SHOWN) if any(name in each["methods"] for each in results.values())]
+    errors = [["tested on", "windows", *names, *(f"{name}: gain [%], moving, CRPS" for name in SHOWN)]]
+    worth = [["tested on", "method", "CRPS", "energy", "NLL", "in 50/80/90/95/99 %", "in 90 %: rest/slow/fast",
+              "in 50 %", "violations, truth's [%]", *(f"arms in {100 * each:g} % tube" for each in TUBES),
+              "arms in reach", "tubes / reach [%]"]]  # fmt: skip
+    motions = [["tested on", "of", *(f"{name} [{unit}] at 50/95/99.9 %" for name, unit in DERIVATIVES.items()), "AUC"]]
+    for split, each in results.items():
+        found, gain = each["methods"], each["gains"]
+        won = [slashed(gain[name].values(), 1, 100) if name in gain else "" for name in SHOWN]
+        means = [slashed([found[name]["mpjpe_mm"]], 1) if name in found else "" for name in names]
+        errors.append([split, str(each["test"]["windows"]), *means, *won])
+        for name, it in ((name, found[name]) for name in SHOWN if name in found):
+            speeds, tubes = it["coverage_by_speed"].values(), it["tubes"].values()
+            broken = [it[key]["position"] + it[key]["speed"] for key in ("violations", "violations_of_truth")]
+            shares = [tube["median_share_of_reach"] for tube in tubes]
+            worth.append([split, name, *(slashed([it[key]], 1) for key in ("crps_mm", "energy_score_mm")),
+                          slashed([it["nll"]], 2), slashed(it["coverage"].values(), 0, 100),
+                          *(slashed([speed[level] for speed in speeds], 0, 100) for level in ("0.9", "0.5")),
+                          slashed(broken, 2, 100), *(slashed([tube["arms"]], 2, 100) for tube in tubes),
+                          slashed(shares[:-1], 2, 100)])  # fmt: skip
+            for of in ("truth", "drawn") if "motions" in it else ():
+                rows = [f"{slashed(moves.values(), 2)}" for moves in it["motions"][of].values()]
+                auc = [it["motions"]["auc"]] if of == "drawn" else []
+                motions.append([split, of if of == "truth" else name, *rows, slashed(auc, 2)])
+    return "\n\n".join(
+        "\n".join("| " + " | ".join(row) + " |" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:]))
+        for rows in (errors, worth, motions)
+    )
+
+
+def slashed(values: Iterable[float | None], digits: int, times: float = 1.0) -> str:
+    return " / ".join("–" if value is None else f"{times * value:.{digits}f}" for value in values)
 
 
 def main() -> None:
-    """Runs what is missing in the results file and prints the table."""
+    """Runs what is missing in the results file, or prints its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--only", nargs="*", default=[], choices=[split.name for split in splits()], metavar="NAME")
+    parser.add_argument("--train", nargs="*", default=list(SETS), choices=SETS, help="sets that may train")
     parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--models", type=Path, help="folder of trained models")
+    parser.add_argument("--old", type=Path, help="file of one more model")
+    parser.add_argument("--motions", action="store_true", help="hold drawn motions beside true ones")
+    parser.add_argument("--windows", type=int, default=1500, help="most windows a set, about")
     parser.add_argument("--samples", type=int, default=1000)
-    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS / "generalisation.json")
+    parser.add_argument("--table", action="store_true", help="only print what the results hold")
     arguments = parser.parse_args()
-    names = arguments.methods.split(",")
-    results = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
-    trained: Trained | None = None
-    for split, (training, tested) in splits(arguments.data).items():
-        if (arguments.only and split not in arguments.only) or split in results:
-            continue
-        if trained is None or trained.on != names_of(training):
-            trained = fit(names, training)
-        results[split] = run(trained, tested, arguments.samples)
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        arguments.out.write_text(json.dumps(results, indent=1))
-        print(line(split, results[split]), flush=True)
-    print("\n".join(line(split, result) for split, result in results.items()))
-
-
-def line(split: str, result: dict[str, Any]) -> str:
-    """One row of the table: MPJPE of each method, and the gain over the best trivial one."""
-    errors = {name: each["mpjpe_mm"] for name, each in result["methods"].items()}
-    best = min(errors[name] for name in TRIVIAL if name in errors)
-    last = list(errors)[-1]
-    shown = "  ".join(f"{name} {error:.1f}" for name, error in errors.items())
-    coverage = "/".join(
-        f"{100 * result['methods'][last]['coverage'][level]:.0f}" for level in ("0.5", "0.8", "0.9", "0.95")
-    )
-    return f"{split:24} {shown}  {last}: {100 * (errors[last] / best - 1):+.1f} %, coverage {coverage}"
+    results = json.loads(arguments.out.read_text()).get("splits", {}) if arguments.out.exists() else {}
+    if not arguments.table:
+        run(arguments, results)
+    print(table(results))
 
 
 if __name__ == "__main__":
