@@ -17,18 +17,19 @@ import pytest
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.cli import progress
 from kinecast.datasets import table
-from kinecast.datasets.loading import load
+from kinecast.datasets.loading import load, shipped_clips
 from kinecast.datasets.recording import differences
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.table import read_rows
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.methods import METHODS, read_method
+from kinecast.prediction.methods import METHODS, SHIPPED, read_method
 from kinecast.types import Status
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 QUICK = ("--stride", 25, "--repeats", 2, "--samples", 40)
 
+FILES = ["metrics.json", "prediction.gif", "prediction.png", "report.html"]
 LEVELS = {"0.5", "0.8", "0.9", "0.95", "0.99"}
 
 Kinecast = Callable[..., Any]
@@ -149,10 +150,25 @@ class TestTrain:
         assert carrying.windows <= recording.labels.count("Ca") < everything.windows
 
 
+class TestDemo:
+    def test_scores_and_draws_the_clips_of_real_people(self, kinecast: Kinecast, tmp_path: Path) -> None:
+        out = tmp_path / "demo"
+        outcome = kinecast("demo", "--out", out)
+        assert outcome.code == 0
+        assert sorted(path.name for path in out.iterdir()) == FILES
+        metrics = json.loads((out / "metrics.json").read_text())
+        assert sorted(metrics["settings"]["test"]) == sorted(clip.name for clip in shipped_clips())
+        assert tuple(metrics["methods"]) == SHIPPED
+        errors = {name: method["mpjpe_mm"] for name, method in metrics["methods"].items()}
+        assert errors["kinecast"] < errors["damped_velocity"] < errors["zero_velocity"]
+        assert metrics["methods"]["kinecast"]["violations"] == {"position": 0.0, "speed": 0.0, "scene": 0.0}
+        assert f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}" in outcome.out
+
+
 class TestEvaluate:
     def test_leaves_four_files_and_no_other(self, evaluation: Path) -> None:
         names = sorted(path.name for path in evaluation.iterdir())
-        assert names == ["metrics.json", "prediction.gif", "prediction.png", "report.html"]
+        assert names == FILES
         assert [path.name for path in evaluation.parent.iterdir()] == ["evaluation"]
         assert [path.name for path in evaluation.parent.parent.iterdir()] == ["new"]
 

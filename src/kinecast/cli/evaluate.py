@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.method_set import MethodSet, method_names, read_models, train_methods, windows_told
+from kinecast.cli.method_set import method_names, read_models, train_methods, windows_told
 from kinecast.cli.options import (
     Action,
     ClusterPlace,
@@ -26,12 +24,12 @@ from kinecast.cli.options import (
 )
 from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
-from kinecast.datasets.windows import WindowOptions, Windows, all_windows
+from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.errors import OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import every_frame
-from kinecast.tasks import Serial, Workers
+from kinecast.tasks import Serial
 
 DEFAULT_METHODS = (
     "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,gp_xyz,gp_angles,gp_constrained,kinecast"
@@ -82,7 +80,7 @@ def evaluate(
         cluster: spread the work over a Dask cluster that you trust: a scheduler's address, or N processes of this
             machine. Scores are the same to the last bit; latencies are those of the workers.
     """
-    import kinecast.evaluation.report  # noqa: F401 - what is not installed is missed before the work, not after it
+    from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
 
     if bool(train) == bool(model):
         raise OptionError("give either --train with recordings or --model with saved models")
@@ -105,51 +103,29 @@ def evaluate(
         parts = all_windows(tested, options, workers=workers)
         histories = all_windows(tested, every_frame(options), workers=workers)
         if compared is None:
-            recordings = unseen(read_recordings(train, format, "--train"), tested)
-            compared = train_methods(names, recordings, options, obstacles, seed, workers)
+            seen = unseen(read_recordings(train, format, "--train"), tested)
+            compared = train_methods(names, seen, options, obstacles, seed, workers)
         else:
             compared.warn_of_known(tested)
         models = {name: str(path) for name, path in zip(compared.methods, model, strict=False)}
-        settings = {"models": models, "scene": None if scene is None else scene.name}
         if ablate:
             compared = compared.with_ablations()
         scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
-        score(out, replace(compared, windows=options), parts, histories, obstacles, scores, settings, workers)
-
-
-def score(
-    out: Path,
-    compared: MethodSet,
-    parts: Sequence[Windows],
-    histories: Sequence[Windows],
-    scene: Scene | None,
-    options: EvaluationOptions,
-    settings: Mapping[str, Any],
-    workers: Workers | None = None,
-) -> None:
-    """Scores methods, writes everything to a folder, and prints the table; see `run_evaluation`.
-
-    Args:
-        parts, histories: of each test recording its windows, and those that end with each of its frames.
-        settings: what else to say about the run: `models` and `scene`.
-    """
-    from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
-
-    recordings, windows = TestRecording.of(parts, histories), compared.windows
-    said = {
-        "version": __version__,
-        "train": list(compared.trained_on),
-        "models": settings["models"],
-        **{name: getattr(windows, name) for name in ("rate", "window", "horizon", "stride", "label")},
-        "scene": settings["scene"],
-        "test": [part.name for part in parts],
-        "windows": sum(len(part) for part in parts),
-        "windows_left_out": sum(part.lost + part.not_whole for part in parts),
-    }
-    if workers is None or isinstance(workers, Serial):  # those of a cluster compile for themselves
-        with compiling():
-            warm_up(compared.methods, recordings, scene, options)
-    with progress_bar("scoring") as progress:
-        metrics = run_evaluation(out, compared.methods, recordings, scene, options, said, progress, workers)
+        said = {
+            "version": __version__,
+            "train": list(compared.trained_on),
+            "models": models,
+            **{name: getattr(options, name) for name in ("rate", "window", "horizon", "stride", "label")},
+            "scene": None if scene is None else scene.name,
+            "test": [part.name for part in parts],
+            "windows": sum(len(part) for part in parts),
+            "windows_left_out": sum(part.lost + part.not_whole for part in parts),
+        }
+        recordings = TestRecording.of(parts, histories)
+        if isinstance(workers, Serial):  # those of a cluster compile for themselves
+            with compiling():
+                warm_up(compared.methods, recordings, obstacles, scores)
+        with progress_bar("scoring") as progress:
+            metrics = run_evaluation(out, compared.methods, recordings, obstacles, scores, said, progress, workers)
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 
@@ -74,6 +75,24 @@ def load(path: str | Path, format: str | None = None, bvh_options: BvhOptions = 
         OptionError: the format is unknown.
     """
     return load_all([path], format, bvh_options)
+
+
+CLIPS = ("pick_and_place", "handover")
+"""What each recording that comes with kinecast shows."""
+
+
+def shipped_clips() -> list[Recording]:
+    """The recordings that come with kinecast, in the order of `CLIPS`: each a real person at work with a robot.
+
+    Cut from JakobThumm/human-robot-animations, MIT, © 2023 Jakob Thumm; the licence and how they were cut lie beside
+    them, in the folder data/clips of the package.
+
+    Returns:
+        600 and 436 frames at 30 Hz of 9 joints, the arms' six, collar, head and pelvis: (N, 9, 3) positions [m], z up,
+        origins of bodies worn at the joints; nothing repaired, NaN where one was not seen.
+    """
+    with resources.as_file(resources.files("kinecast") / "data" / "clips") as folder:
+        return load_all([folder / f"{name}.csv.xz" for name in CLIPS])
 
 
 def load_all(
