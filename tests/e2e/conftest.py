@@ -87,7 +87,7 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
         (folder / "report.html").touch()
 
     monkeypatch.setattr(report, "draw_prediction", draw)
-    monkeypatch.setattr(report, "animate_prediction", draw)
+    monkeypatch.setattr(report, "animate_predictions", draw)
     monkeypatch.setattr(report, "write_report", write)
 
 

@@ -1,4 +1,4 @@
-"""A prediction drawn over a real motion: what was seen, where the arms may go, where they went; still, or as a GIF."""
+"""Predictions drawn over a real motion: what was seen, where the arms may go, where they went; one, or a GIF."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ BODY = "#e6e9ed"
 AHEAD = LinearSegmentedColormap.from_list("ahead", ["#86cdee", BLUE, "#43278c"])
 """Colour of a predicted point: light soon, dark late."""
 
-DASHES = (0, (2.2, 1.3))
+TRUTH = RED
+"""What happened: far from every colour of the prediction."""
 
 SHOULDERS = (0, 3)
 UP = np.array([0.0, 0.0, 1.0])
@@ -43,10 +44,10 @@ UP = np.array([0.0, 0.0, 1.0])
 TALL = 0.4
 """The head ends so far above the shoulders [m]."""
 
-SLOWER = 3.0
-"""A GIF plays a prediction so many times slower than life."""
+SLOWER = 1.5
+"""A GIF plays so many times slower than life: 20 pictures a second at 30 Hz."""
 
-COLOURS = 128
+COLOURS = 256
 LARGEST = 3_000_000
 """Bytes of a GIF: what a page loads without a pause."""
 
@@ -94,7 +95,7 @@ class Moment:
         """(K, 3) what a picture must hold [m]: poses seen, predicted and true, the head, most samples."""
         parts = [self.observed, self.mean, self.now[list(SHOULDERS)] + TALL * UP]
         if len(self.samples):
-            parts.append(np.quantile(self.samples, (0.02, 0.98), axis=0))
+            parts.append(np.quantile(self.samples, (0.1, 0.9), axis=0))
         if self.truth is not None:
             parts.append(self.truth)
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
@@ -106,7 +107,7 @@ def draw_prediction(path: Path, moment: Moment, scene: Scene | None = None, titl
 
     Args:
         path: of the PNG.
-        moment: what to draw; at most 150 of its samples are.
+        moment: what to draw; at most 100 of its samples are.
         scene: obstacles around the person.
         title: above the picture; any text.
     """
@@ -118,14 +119,15 @@ def draw_prediction(path: Path, moment: Moment, scene: Scene | None = None, titl
         main.set_axis_off()
         camera = perspective(moment)
         _draw_moment(main, camera, moment, scene)
-        _fit([main], [camera], moment)
+        _fit([main], [camera], moment.around)
 
         front, above = figure.add_axes((0.725, 0.56, 0.26, 0.36)), figure.add_axes((0.725, 0.1, 0.26, 0.36))
         cameras = Camera(foot, np.stack([left, up, forward])), Camera(foot, np.stack([left, forward, up]))
         for axes, camera in zip((front, above), cameras, strict=True):
             _draw_moment(axes, camera, moment, scene, scale=0.5)
             axes.tick_params(labelsize=8.5)
-        _fit([front, above], cameras, moment)
+            axes.locator_params(nbins=5)
+        _fit([front, above], cameras, moment.around)
         front.set_title("From the front", fontsize=9.5)
         front.set_ylabel("height [m]")
         front.tick_params(labelbottom=False)
@@ -135,39 +137,37 @@ def draw_prediction(path: Path, moment: Moment, scene: Scene | None = None, titl
         above.invert_yaxis()  # the person faces the reader here as in the view from the front
 
         _draw_title(figure, title, 13.0)
-        _legend(figure, moment, scene)
+        _legend(figure, moment, scene, 0.225)
         _draw_time_bar(figure, (0.03, 0.075, 0.15, 0.016), moment.horizon)
     save_figure(figure, path)
 
 
-def animate_prediction(path: Path, moment: Moment, scene: Scene | None = None, title: str = "") -> None:
-    """Play one moment as GIF, three times slower than life: the window seen, the prediction, what happened.
+def animate_predictions(path: Path, moments: Sequence[Moment], scene: Scene | None = None, title: str = "") -> None:
+    """Play successive moments as GIF, a little slower than life, through a camera that stands still.
 
     Args:
         path: of the GIF, at most 3 MB.
-        moment: what to play; without truth the mean alone goes on.
+        moments: what to play, one after another, `dt` apart.
         scene: obstacles around the person.
         title: above the picture; any text.
     """
-    seen, steps = len(moment.observed), len(moment.mean)
-    camera = perspective(moment)
+    middle = moments[len(moments) // 2]
+    camera, around = perspective(middle), np.concatenate([moment.around for moment in moments])
 
     def figures() -> Iterator[Figure]:
-        for step in range(-seen, steps):
-            figure = Figure(figsize=(6.4, 5.0), dpi=100, facecolor="white")
-            axes = figure.add_axes((0.01, 0.11, 0.98, 0.80))
+        for moment in moments:
+            figure = Figure(figsize=(6.4, 5.0), dpi=130, facecolor="white")
+            axes = figure.add_axes((0.01, 0.13, 0.98, 0.79))
             axes.set_axis_off()
-            now = (step + 1) * moment.dt
-            what = "seen" if now < 0 else "prediction and what happened" if now > 0 else "prediction"
             _draw_title(figure, title, 11.0)
-            _draw_time_bar(figure, (0.05, 0.065, 0.25, 0.018), moment.horizon, now)
-            figure.text(0.96, 0.055, f"{what}   {now:+.2f} s".replace("-", "−"), ha="right", fontsize=9.5)
-            _draw_moment(axes, camera, moment, scene, most=80, step=step)
-            _fit([axes], [camera], moment)
+            figure.text(0.97, 0.955, f"{moment.stamp:.2f} s", ha="right", va="center", fontsize=9.5)
+            _draw_moment(axes, camera, moment, scene, scale=0.8, most=60)
+            _fit([axes], [camera], around)
+            _legend(figure, moment, scene, 0.36)
+            _draw_time_bar(figure, (0.05, 0.075, 0.22, 0.018), moment.horizon)
             yield figure
 
-    slow = SLOWER * moment.dt
-    write_gif(path, figures(), [slow] * (seen - 1) + [6 * slow] + [slow] * (steps - 1) + [12 * slow])
+    write_gif(path, figures(), [SLOWER * middle.dt] * (len(moments) - 1) + [1.0])
 
 
 def perspective(moment: Moment) -> Camera:
@@ -215,9 +215,9 @@ def _pixels(figure: Figure) -> Image.Image:
     return Image.fromarray(np.ascontiguousarray(rgba[..., :3]))
 
 
-def _fit(pages: Sequence[Axes], cameras: Sequence[Camera], moment: Moment) -> None:
-    """Choose limits that hold all points around, with one scale for all pages, which are equally large."""
-    flat = [camera.page(moment.around) for camera in cameras]
+def _fit(pages: Sequence[Axes], cameras: Sequence[Camera], around: Float[np.ndarray, "K 3"]) -> None:
+    """Choose limits that hold all points, with one scale for all pages, which are equally large."""
+    flat = [camera.page(around) for camera in cameras]
     half = np.max([places.max(axis=0) - places.min(axis=0) for places in flat], axis=0) / 2
     half = half + 0.12 * half.max()
     page = np.diff(pages[0].get_position().get_points() * pages[0].figure.bbox.size, axis=0)[0]
@@ -230,41 +230,24 @@ def _fit(pages: Sequence[Axes], cameras: Sequence[Camera], moment: Moment) -> No
 
 
 def _draw_moment(
-    axes: Axes,
-    camera: Camera,
-    moment: Moment,
-    scene: Scene | None,
-    *,
-    scale: float = 1.0,
-    most: int = 150,
-    step: int | None = None,
+    axes: Axes, camera: Camera, moment: Moment, scene: Scene | None, *, scale: float = 1.0, most: int = 100
 ) -> None:
-    """Draw a moment, and obstacles where they are at the time that is shown, as a camera sees them.
+    """Draw a moment, and obstacles where they are at its end, as a camera sees them.
 
     Args:
         scale: of line widths.
         most: samples to draw; more of them would add ink, not knowledge.
-        step: only the poses predicted and measured at this step, −1 for now, before it only the window up to there
-            and no prediction; None for all in one picture.
     """
-    past = min(-1 if step is None else step, -1)
-    observed = moment.observed[: len(moment.observed) + past + 1]
-    now, steps = observed[-1], len(moment.mean)
-    shown = steps - 1 if step is None else step
     if scene is not None:
-        end = moment.stamp + max(shown + 1, 0) * moment.dt
-        draw_obstacles(axes, camera, scene, moment.stamp, end, moment.around)
-    if step is not None and step >= 0 and moment.truth is not None:
-        now = moment.truth[step]
-    _silhouette(axes, camera, now, scale)
-    for age, pose in enumerate(observed[-2::-1]):
+        draw_obstacles(axes, camera, scene, moment.stamp, moment.stamp + moment.horizon, moment.around)
+    _silhouette(axes, camera, moment.now, scale)
+    for age, pose in enumerate(moment.observed[-2::-1]):
         _arms(axes, camera, pose, MUTED, 2.0 * scale, alpha=0.45 * 0.75**age)
-    if past == -1:
-        _samples(axes, camera, moment, shown, scale, most)
-        _mean(axes, camera, moment, shown, scale)
-        if step is None and moment.truth is not None:
-            _truth(axes, camera, moment, moment.truth, scale)
-    _arms(axes, camera, now, INK, 4.5 * scale, halo=True, joints=True)
+    _samples(axes, camera, moment, scale, most)
+    _mean(axes, camera, moment, scale)
+    if moment.truth is not None:
+        _truth(axes, camera, moment, moment.truth, scale)
+    _arms(axes, camera, moment.now, INK, 4.5 * scale, halo=True, joints=True)
 
 
 def _draw_title(figure: Figure, title: str, size: float) -> None:
@@ -273,58 +256,48 @@ def _draw_title(figure: Figure, title: str, size: float) -> None:
     figure.text(0.02, 0.955, drawable(title), fontsize=min(size, room), weight="bold", va="center")
 
 
-def _draw_time_bar(
-    figure: Figure, place: tuple[float, float, float, float], horizon: float, now: float | None = None
-) -> None:
-    """The colours of the time ahead [s], with a mark where the picture is, if that is not before 0."""
+def _draw_time_bar(figure: Figure, place: tuple[float, float, float, float], horizon: float) -> None:
+    """The colours of the time ahead [s]."""
     axes = figure.add_axes(place)
     axes.imshow(np.linspace(0, 1, 256)[None], cmap=AHEAD, aspect="auto", extent=(0, horizon, 0, 1))
     axes.set_yticks([])
     axes.set_xticks([0, horizon], ["now", f"{horizon:.2g} s ahead"], fontsize=8.5)
     axes.tick_params(length=0, pad=3)
     axes.spines[:].set_visible(False)
-    if now is not None and now >= 0:
-        axes.plot([now], [1.5], "v", color=INK, ms=7, clip_on=False)
-    axes.set_xlim(0, horizon)
-    axes.set_ylim(0, 1)
 
 
-def _samples(axes: Axes, camera: Camera, moment: Moment, shown: int, scale: float, most: int) -> None:
-    """Wrist paths of the samples, coloured by time, and dots at the step shown."""
+def _samples(axes: Axes, camera: Camera, moment: Moment, scale: float, most: int) -> None:
+    """Wrist paths of the samples, coloured by time, and dots at their ends."""
     samples = moment.samples[:: max(1, -(-len(moment.samples) // most))]
     count, steps = samples.shape[:2]
     colours = np.tile(AHEAD(np.linspace(0, 1, steps)), (count, 1, 1))
-    colours[..., 3] = min(1.0, 30.0 / max(count, 1))
+    colours[..., 3] = min(1.0, 25.0 / max(count, 1))
     for wrist in WRISTS:
         paths = camera.page(_from_now(moment, samples, wrist))
         pieces = np.stack([paths[:, :-1], paths[:, 1:]], axis=2).swapaxes(0, 1).reshape(-1, 2, 2)  # late ones on top
         inks = colours.swapaxes(0, 1).reshape(-1, 4)
-        axes.add_collection(LineCollection(list(pieces), colors=inks, lw=1.1 * scale, zorder=4))
-        if shown >= 0:
-            colour = AHEAD((shown + 1) / steps)
-            axes.plot(*paths[:, shown + 1].T, "o", color=colour, ms=3 * scale, mew=0, alpha=0.4, zorder=4)
+        axes.add_collection(LineCollection(list(pieces), colors=inks, lw=0.9 * scale, zorder=4))
+        axes.plot(*paths[:, -1].T, "o", color=AHEAD(1.0), ms=3 * scale, mew=0, alpha=0.4, zorder=4)
 
 
-def _mean(axes: Axes, camera: Camera, moment: Moment, shown: int, scale: float) -> None:
-    """Wrist paths of the mean, and its arms at the step shown."""
+def _mean(axes: Axes, camera: Camera, moment: Moment, scale: float) -> None:
+    """Wrist paths of the mean, and its arms at their end."""
     steps = len(moment.mean)
     for wrist in WRISTS:
         path = camera.page(_from_now(moment, moment.mean, wrist))
         pieces = list(np.stack([path[:-1], path[1:]], axis=1))
         axes.plot(*path.T, color="white", lw=5 * scale, alpha=0.8, zorder=5)
         axes.add_collection(LineCollection(pieces, colors=AHEAD(np.linspace(0, 1, steps)), lw=2.6 * scale, zorder=5))
-    if shown >= 0:
-        colour = AHEAD((shown + 1) / steps)
-        _arms(axes, camera, moment.mean[shown], colour, 3.0 * scale, halo=True, zorder=5)
+    _arms(axes, camera, moment.mean[-1], AHEAD(1.0), 3.0 * scale, halo=True, zorder=5)
 
 
 def _truth(axes: Axes, camera: Camera, moment: Moment, truth: Float[np.ndarray, "T 6 3"], scale: float) -> None:
-    """Wrist paths that came, and the arms at their end, dashed."""
+    """Wrist paths that came, and the arms at their end."""
     for wrist in WRISTS:
         path = camera.page(_from_now(moment, truth, wrist))
-        axes.plot(*path.T, color="white", lw=3.4 * scale, zorder=6)
-        axes.plot(*path.T, color=INK, lw=1.6 * scale, ls=DASHES, zorder=6)
-    _arms(axes, camera, truth[-1], INK, 1.6 * scale, zorder=6, dashed=True)
+        axes.plot(*path.T, color="white", lw=3.8 * scale, zorder=6)
+        axes.plot(*path.T, color=TRUTH, lw=1.8 * scale, zorder=6)
+    _arms(axes, camera, truth[-1], TRUTH, 2.4 * scale, zorder=6, halo=True)
 
 
 def _arms(
@@ -338,15 +311,13 @@ def _arms(
     zorder: int = 7,
     halo: bool = False,
     joints: bool = False,
-    dashed: bool = False,
 ) -> None:
     """Both arms of one pose as lines; what is NaN is left out."""
     effects = [Stroke(linewidth=width + 2.2, foreground="white"), Normal()] if halo else []
     flat = camera.page(pose)
     for arm in (flat[:3], flat[3:]):
         axes.plot(
-            *arm.T, color=colour, lw=width, alpha=alpha, zorder=zorder, path_effects=effects,
-            ls=DASHES if dashed else "-", solid_joinstyle="round",
+            *arm.T, color=colour, lw=width, alpha=alpha, zorder=zorder, path_effects=effects, solid_joinstyle="round",
         )  # fmt: skip
     if joints:
         size, edge = 1.5 * width, 0.36 * width
@@ -377,8 +348,8 @@ def _from_now(moment: Moment, motion: Float[np.ndarray, "*S T 6 3"], joint: int)
     return np.concatenate([start, path], axis=-2)
 
 
-def _legend(figure: Figure, moment: Moment, scene: Scene | None) -> None:
-    """Names for what is drawn, at the foot."""
+def _legend(figure: Figure, moment: Moment, scene: Scene | None, left: float) -> None:
+    """Names for what is drawn, at the foot, from `left` on."""
     handles = [
         Line2D([], [], color=INK, lw=4, label="now"),
         Line2D([], [], color=MUTED, lw=2, alpha=0.7, label="before"),
@@ -386,10 +357,10 @@ def _legend(figure: Figure, moment: Moment, scene: Scene | None) -> None:
         Line2D([], [], color=AHEAD(1.0), lw=3, label="mean"),
     ]
     if moment.truth is not None:
-        handles.append(Line2D([], [], color=INK, lw=1.6, ls=DASHES, label="what happened"))
+        handles.append(Line2D([], [], color=TRUTH, lw=2.4, label="what happened"))
     if scene is not None and scene.obstacles:
         handles.append(Line2D([], [], color=OBSTACLE, lw=7, label="obstacle"))
     figure.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0.225, 0.0), ncols=4, frameon=False,
+        handles=handles, loc="lower left", bbox_to_anchor=(left, 0.0), ncols=3, frameon=False,
         fontsize=9, handlelength=1.6, columnspacing=1.6, handletextpad=0.6,
     )  # fmt: skip

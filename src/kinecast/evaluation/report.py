@@ -26,7 +26,7 @@ from rich.text import Text
 from kinecast.errors import MissingExtraError, OptionError
 from kinecast.evaluation.metrics import LEVELS, WRISTS
 from kinecast.evaluation.output import all_or_none, write_atomically
-from kinecast.evaluation.pictures import Moment, animate_prediction, draw_prediction
+from kinecast.evaluation.pictures import Moment, animate_predictions, draw_prediction
 from kinecast.evaluation.plots import (
     UNKNOWN,
     figure_svg,
@@ -51,6 +51,9 @@ except ImportError as error:
     raise MissingExtraError("the report", "train") from error
 
 Metrics = Mapping[str, Any]
+
+FILM = 0.75
+"""The film begins so long before the moment drawn, and ends so long after it [s]."""
 
 PICTURES = {".png": "image/png", ".gif": "image/gif"}
 
@@ -87,34 +90,47 @@ def run_evaluation(
         **results,
     }
     name, method = list(methods.items())[-1]
-    moment, title = _busiest(recordings, method, scene, options)
+    recording, frame = _busiest(recordings)
+    moments = _moments(recording, frame, method, scene, options)
+    title = f"{name}, {recording.name}"
     with all_or_none(out) as folder:
         picture, film = folder / "prediction.png", folder / "prediction.gif"
         write_atomically(folder / "metrics.json", json.dumps(metrics, indent=1).encode())
-        draw_prediction(picture, moment, scene, f"{name}, {title}")
-        animate_prediction(film, moment, scene, f"{name}, {title}")
+        draw_prediction(picture, moments[frame], scene, f"{title} at {moments[frame].stamp:.1f} s")
+        animate_predictions(film, list(moments.values()), scene, title)
         write_report(metrics, histograms, folder, [picture, film])
     return metrics
 
 
-def _busiest(
-    recordings: Sequence[TestRecording], method: Method[Any], scene: Scene | None, options: EvaluationOptions
-) -> tuple[Moment, str]:
-    """A moment where the wrists move much (more than in 19 of 20 windows) and the whole future is known."""
+def _busiest(recordings: Sequence[TestRecording]) -> tuple[TestRecording, int]:
+    """The longest recording, and a frame of it where the wrists move more than in 19 of 20 and the future is known."""
     recording = max(recordings, key=lambda each: len(each.observations))
     wrists = np.array([observation.positions[:, WRISTS] for observation in recording.observations])
     path = np.linalg.norm(np.diff(wrists, axis=1), axis=-1).sum(axis=(1, 2))
     path[~np.isfinite(recording.future).all(axis=(1, 2, 3))] = -1.0
-    row = int(np.argsort(path)[int(0.95 * (len(path) - 1))])
-    seen = recording.observations[row]
-    state = method.init_state()
-    for frame, observation, measured in recording.history:
-        if frame > recording.frames[row]:
+    return recording, int(recording.frames[np.argsort(path)[int(0.95 * (len(path) - 1))]])
+
+
+def _moments(
+    recording: TestRecording, at: int, method: Method[Any], scene: Scene | None, options: EvaluationOptions
+) -> dict[int, Moment]:
+    """What a method predicted around one frame of a recording, by frame, and what happened."""
+    measured_at = {frame: measured for frame, _, measured in recording.history}
+    for frame, future in zip(recording.frames.tolist(), recording.future, strict=True):
+        measured_at |= {frame + k: pose for k, pose in enumerate(future, 1)}
+    unknown = np.full((6, 3), np.nan)
+    state, moments = method.init_state(), {}
+    for frame, seen, measured in recording.history:
+        state = method.update(state, seen, measured)
+        if frame > at + FILM / seen.dt:
             break
-        state = method.update(state, observation, measured)
-    forecast = forecast_in_scene(method, state, seen, np.random.default_rng(options.seed), options.samples, scene)
-    moment = Moment(seen.positions, forecast.samples, forecast.mean, seen.dt, recording.future[row], seen.stamp)
-    return moment, f"{recording.name} at {seen.stamp:.1f} s"
+        if frame < at - FILM / seen.dt:
+            continue
+        rng = np.random.default_rng(options.seed)  # the same draws in each, so that the samples move smoothly
+        forecast = forecast_in_scene(method, state, seen, rng, options.samples, scene)
+        truth = np.stack([measured_at.get(frame + k, unknown) for k in range(1, method.steps + 1)])
+        moments[frame] = Moment(seen.positions, forecast.samples, forecast.mean, seen.dt, truth, seen.stamp)
+    return moments
 
 
 # The page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from kinecast.evaluation import pictures
-from kinecast.evaluation.pictures import Moment, animate_prediction, draw_prediction, perspective
+from kinecast.evaluation.pictures import TRUTH, Moment, animate_predictions, draw_prediction, perspective
 from kinecast.evaluation.scenery import OBSTACLE, Camera, draw_obstacles
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Sphere
@@ -75,28 +76,55 @@ def test_odd_moments_are_drawn(name: str, tmp_path: Path) -> None:
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
-def test_a_film_of_one_prediction(tmp_path: Path) -> None:
-    animate_prediction(tmp_path / "a.gif", moment(), Scene((TABLE,)), "a title")
-    with Image.open(tmp_path / "a.gif") as film:
-        assert film.n_frames == 1 + 4  # one frame before now, then now and three steps
-        assert film.info["loop"] == 0
-        times = []
-        for frame in range(film.n_frames):
-            film.seek(frame)
-            times.append(film.info["duration"])
-    assert times == [100, 600, 100, 100, 1200]  # three times slower than 1/30 s, with rests
+def test_what_happened_is_seen(tmp_path: Path) -> None:
+    draw_prediction(tmp_path / "with.png", moment())
+    draw_prediction(tmp_path / "without.png", dataclasses.replace(moment(), truth=None))
+    assert share_of(tmp_path / "without.png", TRUTH) < 1e-5 < 1e-3 < share_of(tmp_path / "with.png", TRUTH)
 
 
-@pytest.mark.parametrize("name", ["no truth or samples", "truth with holes", "one step"])
+def film(count: int = 4, steps: int = 3) -> list[Moment]:
+    """Successive moments of someone who moves forward."""
+    first = moment(steps=steps)
+    assert first.truth is not None
+    shifts = [np.array([0.02 * k, 0.0, 0.0]) for k in range(count)]
+    return [
+        dataclasses.replace(
+            first,
+            observed=first.observed + shift,
+            samples=first.samples + shift,
+            mean=first.mean + shift,
+            truth=first.truth + shift,
+            stamp=k * first.dt,
+        )
+        for k, shift in enumerate(shifts)
+    ]
+
+
+def test_a_film_of_successive_predictions(tmp_path: Path) -> None:
+    animate_predictions(tmp_path / "a.gif", film(), Scene((TABLE,)), "a title")
+    with Image.open(tmp_path / "a.gif") as played:
+        assert played.n_frames == 4
+        assert played.info["loop"] == 0
+        times, shown = [], []
+        for frame in range(played.n_frames):
+            played.seek(frame)
+            times.append(played.info["duration"])
+            shown.append(np.asarray(played.convert("RGB")).astype(int))
+    assert times == [50, 50, 50, 1000]  # one and a half times slower than 1/30 s, with a rest
+    for before, after in itertools.pairwise(shown):  # the person moves, the table stays: the camera stands still
+        assert 0.001 < np.mean(np.abs(after - before).max(axis=-1) > 12) < 0.2
+
+
+@pytest.mark.parametrize("name", odd_moments())
 def test_odd_moments_are_filmed(name: str, tmp_path: Path) -> None:
-    animate_prediction(tmp_path / "a.gif", odd_moments()[name])
+    animate_predictions(tmp_path / "a.gif", [odd_moments()[name], moment()])
     assert (tmp_path / "a.gif").stat().st_size > 1000
 
 
 def test_a_film_too_large_is_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    animate_prediction(tmp_path / "large.gif", moment(steps=1))
+    animate_predictions(tmp_path / "large.gif", film(2, steps=1))
     monkeypatch.setattr(pictures, "LARGEST", (tmp_path / "large.gif").stat().st_size - 1)
-    animate_prediction(tmp_path / "small.gif", moment(steps=1))
+    animate_predictions(tmp_path / "small.gif", film(2, steps=1))
     with Image.open(tmp_path / "small.gif") as small, Image.open(tmp_path / "large.gif") as large:
         assert small.width < large.width
 

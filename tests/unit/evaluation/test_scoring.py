@@ -6,6 +6,8 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from scipy.stats import chi2
 
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.posture import points_from_postures
+from kinecast.evaluation import report
 from kinecast.evaluation.metrics import LEVELS
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
@@ -255,3 +258,27 @@ def test_methods_see_every_frame_and_none_too_many() -> None:
     score = evaluate({"m": still}, [third, third], None, QUICK)[0]["methods"]["m"]
     assert score["mpjpe_mm"] == pytest.approx(100.0)
     assert score["recordings"]["a"]["windows"] == 4
+
+
+def test_what_is_drawn_shows_the_truth_and_no_more_was_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: dict[str, Any] = {}
+
+    def keep(path: Path, what: Any, *_: object) -> None:
+        drawn[path.suffix] = what
+        path.touch()
+
+    monkeypatch.setattr(report, "draw_prediction", keep)
+    monkeypatch.setattr(report, "animate_predictions", keep)
+    monkeypatch.setattr(report, "write_report", lambda *_: None)
+    recording = gliding(0.5, windows=30)
+    report.run_evaluation(tmp_path / "out", {"still": gaussian(False, 1e-4)}, [recording], None, QUICK, {})
+    still, film = drawn[".png"], drawn[".gif"]
+    at = [moment.stamp for moment in film].index(still.stamp)
+    assert np.allclose(np.diff([moment.stamp for moment in film]), DT)
+    assert 1 + report.FILM / DT <= len(film) <= 1 + 2 * report.FILM / DT
+    assert film[at] is still
+    for moment in film:
+        row = round(moment.stamp / DT)
+        np.testing.assert_array_equal(moment.truth, recording.future[row])
+        np.testing.assert_array_equal(moment.observed, recording.observations[row].positions)
+        np.testing.assert_allclose(moment.mean, np.tile(moment.now, (T, 1, 1)), atol=0.01)
