@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, Windows, all_windows
@@ -40,9 +40,11 @@ def training_windows(
         OptionError: the label occurs in none of them, or every window ends inside an obstacle.
     """
     parts = all_windows(recordings, replace(options, stride=1, whole=False, mend_future=True), progress, workers)
-    task_of = {recording.name: recording.task for recording in recordings}
-    tasks = sorted({task_of[part.name] for part in parts})
-    groups = [tasks.index(task_of[part.name]) if len(tasks) > 1 else k for k, part in enumerate(parts)]
+    by_name = {recording.name: recording for recording in recordings}
+    used = [by_name[part.name] for part in parts]
+    names = [(each.collection, each.task, f"{each.collection}/{each.subject}") for each in used]
+    collections, tasks, subjects = (np.unique(of, return_inverse=True)[1] for of in zip(*names, strict=True))
+    groups = _same_people(used) if collections.any() else tasks if tasks.any() else np.arange(len(parts))
     owner = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
     future = np.concatenate([part.future for part in parts])
     whole = np.isfinite(future).all(axis=(1, 2, 3))
@@ -53,7 +55,9 @@ def training_windows(
         owner[whole],
         1.0 / options.rate,
         np.concatenate([part.frames for part in parts])[whole],
-        np.array(groups)[owner[whole]],
+        groups[owner[whole]],
+        collections[owner[whole]],
+        subjects[owner[whole]],
     )
     if scene is None:
         return windows
@@ -63,6 +67,17 @@ def training_windows(
             f"all {len(windows)} training windows end inside an obstacle; is the scene in the recordings' frame?"
         )
     return free
+
+
+def _same_people(recordings: Sequence[Recording]) -> Int[np.ndarray, " R"]:
+    """(R,) a number for each recording: collections in which one person occurs have the same."""
+    group = {recording.collection: k for k, recording in enumerate(recordings)}
+    first: dict[str, str] = {}
+    for recording in recordings:
+        if recording.subject:
+            one, other = group[first.setdefault(recording.subject, recording.collection)], group[recording.collection]
+            group = {name: min(one, other) if k in (one, other) else k for name, k in group.items()}
+    return np.array([group[recording.collection] for recording in recordings])
 
 
 def observations(part: Windows) -> list[Observation]:

@@ -39,7 +39,8 @@ def train(
     """Trains one method on recordings and writes it to a file, whole or not at all.
 
     Args:
-        paths: recordings, or folders of them.
+        paths: recordings, or folders of them. A folder is a collection, of one place and sensor; to train on several,
+            give each by itself.
         out: the model file, ending in .npz.
         rate: frames per second the model works at.
         window: how much is observed [s].

@@ -104,13 +104,15 @@ def load_all(
 ) -> list[Recording]:
     """Every recording in several files or folders, each loaded once; otherwise as `load`.
 
-    `progress` is called with (done, total) files; `more` are formats beside `FORMATS`.
+    What lies in one of the folders is one collection; of a file, what lies beside it. `progress` is called
+    with (done, total) files; `more` are formats beside `FORMATS`.
     """
     known = (*_formats(bvh_options), *more)
     if format is not None and format not in {each.name for each in known}:
         raise OptionError(f"format is {format!r}, expected one of {', '.join(sorted({each.name for each in known}))}")
     formats = [each for each in known if format in (None, each.name)]
     sources: dict[Path, tuple[Path, Format]] = {}
+    collection: dict[Path, str] = {}
     for path in map(Path, paths):
         if not path.exists():
             raise DatasetError(path, "no such file or folder")
@@ -123,12 +125,14 @@ def load_all(
         if not found:
             tried = ", ".join(dict.fromkeys(each.name for each in formats))
             raise DatasetError(path, f"no recording found; formats tried: {tried}")
+        named = path.resolve() if path.is_dir() else path.resolve().parent
         sources |= {source.resolve(): (source, each) for source, each in found}
+        collection |= {source: named.name for source, _ in found}
     recordings = []
     for done, (source, each) in enumerate(sources.values(), 1):
         for recording in each.load(source):
             check(recording, source)
-            recordings.append(recording)
+            recordings.append(replace(recording, collection=collection[source]))
         if progress:
             progress(done, len(sources))
     return _with_unique_names(recordings)

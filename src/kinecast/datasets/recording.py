@@ -28,6 +28,7 @@ class Recording:
     subject: str = ""  # id of the person across sources, "" where unknown; splits by subject use it
     task: str = ""  # what is being done, "" where unknown; splits by task use it
     labels: tuple[str, ...] | None = None  # one per frame
+    collection: str = ""  # what it was loaded with: recordings of one sensor at one place; training weighs them
     notes: tuple[str, ...] = ()  # what a user must know, e.g. "rate not stated by the format; 30 Hz assumed"
 
     def __post_init__(self) -> None:

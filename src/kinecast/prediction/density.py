@@ -116,7 +116,7 @@ class GaussianMixture:
         kind: (C,) which covariance each component has.
         scales, scale_weights: (F,) common factors of the spread, and how likely each is.
         posture: whether the coordinates are those of the posture.
-        floor: least spread of a coordinate, for directions that a low-rank factor leaves out.
+        floor: (K, T, 18) spread of each coordinate for itself, in directions that a low-rank factor leaves out.
     """
 
     mean: Float[np.ndarray, "C T 18"]
@@ -126,16 +126,20 @@ class GaussianMixture:
     scales: Float[np.ndarray, " F"] = field(default_factory=lambda: np.ones(1))
     scale_weights: Float[np.ndarray, " F"] = field(default_factory=lambda: np.ones(1))
     posture: bool = False
-    floor: float = 0.0
+    floor: Float[np.ndarray, "K T 18"] | None = None
 
     @staticmethod
     def of_positions(
-        mean: Float[np.ndarray, "C T 6 3"], factor: Float[np.ndarray, "K T 6 3 R"], *more: Any, **others: Any
+        mean: Float[np.ndarray, "C T 6 3"],
+        factor: Float[np.ndarray, "K T 6 3 R"],
+        floor: Float[np.ndarray, "K T 6 3"] | None = None,
+        **more: Any,
     ) -> GaussianMixture:
         """The mixture over positions in the order of the skeleton; the rest as above."""
         mean, factor = mean[:, :, JOINT_ORDER], factor[:, :, JOINT_ORDER]
+        own = None if floor is None else floor[:, :, JOINT_ORDER].reshape(*floor.shape[:2], 18)
         return GaussianMixture(
-            mean.reshape(*mean.shape[:2], 18), factor.reshape(*factor.shape[:2], 18, -1), *more, **others
+            mean.reshape(*mean.shape[:2], 18), factor.reshape(*factor.shape[:2], 18, -1), floor=own, **more
         )
 
     def log_blocks(self, poses: Poses) -> Blocks:
@@ -155,7 +159,10 @@ class GaussianMixture:
 
     @cached_property
     def _cholesky(self) -> Float[np.ndarray, "K T 18 18"]:
-        return np.linalg.cholesky(self.factor @ self.factor.swapaxes(2, 3) + self.floor**2 * np.eye(18))
+        covariance = self.factor @ self.factor.swapaxes(2, 3)
+        if self.floor is not None:
+            covariance += self.floor[..., None] ** 2 * np.eye(18)
+        return np.linalg.cholesky(covariance)
 
     @cached_property
     def _log_root_det(self) -> Float[np.ndarray, "K T 3"]:

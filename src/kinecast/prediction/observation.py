@@ -106,7 +106,9 @@ class TrainingWindows:
         recording: (W,) index of the recording each window comes from.
         dt: time between frames [s].
         frame: (W,) index in its recording of each window's last observed frame.
-        group: (W,) what is left out together in folds: a task, or a recording.
+        group: (W,) what is left out together in folds: collections of the same people, a task, or a recording.
+        collection: (W,) index of the sensor and place each window comes from.
+        subject: (W,) index of the person.
     """
 
     observed: Float[np.ndarray, "W N 6 3"]
@@ -116,6 +118,8 @@ class TrainingWindows:
     dt: float
     frame: Int[np.ndarray, " W"]
     group: Int[np.ndarray, " W"]
+    collection: Int[np.ndarray, " W"]
+    subject: Int[np.ndarray, " W"]
 
     def __len__(self) -> int:
         return len(self.observed)
@@ -135,9 +139,22 @@ class TrainingWindows:
         """The futures, each in its own window's torso frame [m]."""
         return self._to_torso(self.future)
 
+    def shares(self, rows: Int[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+        """(K,) how often each of some windows is to be drawn: no collection and no person drowns the others.
+
+        A collection counts by the root of its windows, and so does a person within it; they sum to one.
+        """
+        shares = np.zeros(len(rows))
+        for collection in np.unique(self.collection[rows]):
+            here = self.collection[rows] == collection
+            _, person, windows = np.unique(self.subject[rows[here]], return_inverse=True, return_counts=True)
+            root = windows[person] ** -0.5
+            shares[here] = root / root.sum() * np.sqrt(here.sum())
+        return shares / shares.sum()
+
     def take(self, rows: Int[np.ndarray, " K"]) -> TrainingWindows:
         """Some of the windows."""
-        own = ("observed", "future", "up", "recording", "frame", "group")
+        own = ("observed", "future", "up", "recording", "frame", "group", "collection", "subject")
         return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
     def outside(self, scene: Scene) -> TrainingWindows:

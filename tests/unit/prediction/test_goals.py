@@ -136,7 +136,9 @@ def test_density_integrates_to_one(method: Kinecast, seen: Observation, monkeypa
     law = mixture(found)
     rng, count, (places, steps, _) = np.random.default_rng(0), 250, law.mean.shape
     assert places > 3
-    covariance = law.factor @ law.factor.swapaxes(2, 3) + law.floor**2 * np.eye(18)
+    covariance = law.factor @ law.factor.swapaxes(2, 3)
+    assert law.floor is not None
+    covariance = covariance + law.floor[..., None] ** 2 * np.eye(18)
     lower = 1.3 * np.linalg.cholesky(covariance)[law.kind]
     inverse = np.linalg.inv(lower)
     volume = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=-1) + 9 * np.log(2 * np.pi)

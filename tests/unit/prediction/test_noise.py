@@ -22,7 +22,9 @@ def windows_of(tracks: np.ndarray) -> TrainingWindows:
     """Windows from (W, K, 6, 3) positions, all but the last three frames observed."""
     count = len(tracks)
     own = np.zeros(count, dtype=int)
-    return TrainingWindows(tracks[:, :-3], tracks[:, -3:], np.zeros((count, 3)), own, 1 / 30, np.arange(count), own)
+    return TrainingWindows(
+        tracks[:, :-3], tracks[:, -3:], np.zeros((count, 3)), own, 1 / 30, np.arange(count), *(own,) * 3
+    )
 
 
 @pytest.mark.parametrize("spread", [0.001, 0.004])

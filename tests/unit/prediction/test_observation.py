@@ -73,7 +73,7 @@ def test_training_windows_are_seen_as_observations_are(windows: TrainingWindows,
     np.testing.assert_allclose(windows.future_points[60], observation.to_torso(windows.future[60]), atol=1e-14)
 
 
-def owned(group: list[int]) -> TrainingWindows:
+def owned(group: list[int], collection: list[int] | None = None, subject: list[int] | None = None) -> TrainingWindows:
     """Windows that only know what they belong to."""
     count = len(group)
     return TrainingWindows(
@@ -84,6 +84,8 @@ def owned(group: list[int]) -> TrainingWindows:
         dt=0.1,
         frame=np.arange(count),
         group=np.array(group),
+        collection=np.array(collection or group),
+        subject=np.array(subject or group),
     )
 
 
@@ -103,6 +105,16 @@ def test_folds_are_of_like_size() -> None:
 
 def test_a_single_group_is_cut_into_blocks_of_time() -> None:
     np.testing.assert_array_equal(owned([5] * 10).folds(4), [0, 0, 0, 1, 1, 2, 2, 2, 3, 3])
+
+
+def test_no_collection_and_no_person_drowns_the_others() -> None:
+    collection, subject = [0] * 100 + [1] * 16, [0] * 64 + [1] * 36 + [2] * 16
+    windows = owned([0] * 116, collection, subject)
+    shares = windows.shares(np.arange(116))
+    assert shares.sum() == pytest.approx(1.0)
+    assert shares[:100].sum() / shares[100:].sum() == pytest.approx(10 / 4)
+    assert shares[:64].sum() / shares[64:100].sum() == pytest.approx(8 / 6)
+    np.testing.assert_allclose(windows.shares(np.arange(100, 116)), 1 / 16)
 
 
 def test_windows_that_end_in_an_obstacle_are_left_out(windows: TrainingWindows) -> None:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel, fit_error_model
-from kinecast.prediction.kinecast.experts import Network, RadialBasis, fit_network, fit_radial_basis, forecasts
-from kinecast.prediction.kinecast.features import yaw_frame
+from kinecast.prediction.kinecast.experts import Networks, fit_network, forecasts
+from kinecast.prediction.kinecast.features import FeatureScale, arm_views, yaw_frame
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, Mixture, MixtureOutput
 from kinecast.prediction.kinecast.weights import Gate, fit_gate
 from kinecast.prediction.observation import TrainingWindows
@@ -22,7 +22,13 @@ from kinecast.tasks import Workers, generator
 Rows = Int[np.ndarray, " R"]
 Examples = tuple[np.ndarray, ...]
 NOISE, RECORDING_NOISE = (5e-4, 12e-3), (1e-3, 8e-3)
-"""Noise of the second radial basis expert's inputs, and of the gate's noisy recordings: log-uniform [m]."""
+"""Noise of the second general network's inputs, and of the gate's noisy recordings: log-uniform [m]."""
+POOL = 80_000
+"""Most windows that a network is trained on, drawn by their shares."""
+FOLLOWED = 48_000
+"""About as many windows, recordings whole, are followed frame by frame for the gate and the error model."""
+SIZES = 0.15
+"""People are this much larger or smaller, log-uniform."""
 
 
 @dataclass(frozen=True)
@@ -30,17 +36,13 @@ class KinecastOptions:
     """How the method is trained.
 
     Attributes:
-        pseudo_inputs: M of the radial basis experts.
         network_steps: of stochastic descent.
         folds: parts of the data that gate and spread are fitted on, each with experts that have not seen it.
-        networks: whose mean is the neural expert, each from its own seed; folds make do with one.
         seed: of everything random.
     """
 
-    pseudo_inputs: int = 256
-    network_steps: int = 2500
+    network_steps: int = 4000
     folds: int = 4
-    networks: int = 2
     seed: int = 0
 
 
@@ -54,8 +56,12 @@ def fitting_kinecast(
 ) -> Any:
     """Stands for the method `kinecast`, trained by workers.
 
+    Two networks learn from all collections, and one from each where there are several. Gate and error model learn from
+    collections (else tasks, else recordings) that no network has seen: in a fold, the place of a left-out collection's
+    own network is taken by the one that knows all the others.
+
     Args:
-        workers: that do the tasks: experts, what they say of each recording, gate and spread.
+        workers: that do the tasks: networks, what they say of each recording, gate and spread.
         windows: of consecutive frames, recording by recording; groups are left out one after another.
         data: stands for the same windows.
         limits: of the arm's angles; None for none.
@@ -63,49 +69,67 @@ def fitting_kinecast(
         options: see KinecastOptions.
     """
     frames, steps, dt = windows.shape
-    folds = windows.folds(options.folds)
+    scale = workers.submit(_feature_scale, data, options.seed)
+
+    def network(rows: Rows, noisy: bool = False) -> Any:
+        return workers.submit(_network, data, rows, scale, options, noisy)
+
+    def general(rows: Rows) -> list[Any]:
+        return [network(rows), network(rows, noisy=True)]
+
+    collections = np.unique(windows.collection).tolist()
+    own = {name: network(np.flatnonzero(windows.collection == name)) for name in collections if len(collections) > 1}
+    folds, held, followed = windows.folds(options.folds), [], _followed_recordings(windows)
     names = np.unique(folds)
-    held: list[tuple[Any, Rows, tuple[int, int]]] = []
     for place, name in enumerate(names):
         outside = folds == name
         inside = ~outside & ~windows.near(outside) if len(names) > 1 else outside
-        experts = _fitting_experts(workers, data, np.flatnonzero(inside), options, 1)
-        mixture = workers.submit(Mixture, experts, None, frames, steps)
-        for recording in np.unique(windows.recording[outside]).tolist():
+        both = general(np.flatnonzero(inside))
+        seen = set(windows.collection[inside].tolist()) - set(windows.collection[outside].tolist())
+        stand_in = [fitted if each in seen else both[0] for each, fitted in own.items()]
+        mixture = workers.submit(_mixture, both + stand_in, None, frames, steps)
+        for recording in np.unique(windows.recording[outside & followed]).tolist():
             held.append((mixture, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
     examples = [workers.submit(_gate_examples, *each, data, options.seed) for each in held]
     gate = workers.submit(_gate, examples, options.seed)
     errors = [workers.submit(_error_examples, mixture, rows, data, gate) for mixture, rows, _ in held]
-    spread = workers.submit(_error_model, errors)
-    final = _fitting_experts(workers, data, np.arange(len(windows)), options, options.networks)
-    mixture = workers.submit(Mixture, final, gate, frames, steps)
+    spread = workers.submit(_error_model, errors, options.seed)
+    mixture = workers.submit(_mixture, general(np.arange(len(windows))) + list(own.values()), gate, frames, steps)
     return workers.submit(Kinecast, mixture, spread, dt, noise, limits)
 
 
-def _fitting_experts(workers: Workers, data: Any, rows: Rows, options: KinecastOptions, networks: int) -> list[Any]:
-    """A radial basis, another on noisy inputs for poor sensors, and the mean of networks; stand for the experts."""
-    seeds = range(options.seed, options.seed + networks)
-    fitted = [workers.submit(_network, data, rows, options.network_steps, seed) for seed in seeds]
-    return [
-        workers.submit(_radial_basis, data, rows, options),
-        workers.submit(_noisy_radial_basis, data, rows, options),
-        workers.submit(Network.mean_of, fitted),
-    ]
+def _mixture(networks: Sequence[Networks], gate: Gate | None, frames: int, steps: int) -> Mixture:
+    return Mixture(Networks.joined(networks), gate, frames, steps)
 
 
-def _network(data: TrainingWindows, rows: Rows, steps: int, seed: int) -> Network:
-    return fit_network(data.observed[rows], data.future[rows], steps, seed)
+def _feature_scale(data: TrainingWindows, seed: int) -> FeatureScale:
+    return FeatureScale.of(arm_views(data.observed[_drawn(data, np.arange(len(data)), POOL // 4, seed)]))
 
 
-def _radial_basis(data: TrainingWindows, rows: Rows, options: KinecastOptions) -> RadialBasis:
-    return fit_radial_basis(data.observed[rows], data.future[rows], options.pseudo_inputs, options.seed)
+def _drawn(data: TrainingWindows, rows: Rows, count: int, seed: int) -> Rows:
+    """At most `count` of the rows, by their shares."""
+    shares = data.shares(rows)
+    return np.random.default_rng(seed).choice(rows, min(count, len(rows)), p=shares, replace=True)
 
 
-def _noisy_radial_basis(data: TrainingWindows, rows: Rows, options: KinecastOptions) -> RadialBasis:
-    observed, future, rng = data.observed[rows], data.future[rows], np.random.default_rng([options.seed, 1])
-    noisy = observed + _white_noise(rng, NOISE, len(rows), observed.shape[1])
-    both = np.concatenate([observed, noisy]), np.concatenate([future, future])
-    return fit_radial_basis(*both, options.pseudo_inputs, options.seed)
+def _network(data: TrainingWindows, rows: Rows, scale: FeatureScale, options: KinecastOptions, noisy: bool) -> Networks:
+    rng = np.random.default_rng([options.seed, noisy])
+    some = _drawn(data, rows, POOL, options.seed)
+    size = np.exp(rng.uniform(-SIZES, SIZES, (len(some), 1, 1, 1)))
+    observed, future = size * data.observed[some], size * data.future[some]
+    if noisy:
+        observed = observed + _white_noise(rng, NOISE, len(some), observed.shape[1])
+    return fit_network(scale, observed, future, options.network_steps, options.seed + noisy)
+
+
+def _followed_recordings(windows: TrainingWindows) -> Bool[np.ndarray, " W"]:
+    """(W,) windows of the recordings to follow: of each collection its fair part, spread over its recordings."""
+    chosen, collections = np.zeros(len(windows), dtype=bool), np.unique(windows.collection)
+    for name in collections:
+        here = np.flatnonzero(windows.collection == name)
+        stride = math.ceil(len(here) * len(collections) / FOLLOWED)
+        chosen[here] = np.unique(windows.recording[here], return_inverse=True)[1] % stride == 0
+    return chosen
 
 
 def _white_noise(
@@ -119,19 +143,29 @@ def _white_noise(
 
 
 def _gate_examples(mixture: Mixture, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int) -> Examples:
-    """Every fourth window of a recording as the gate would see it online, from a clean and from a noisy sensor."""
+    """Every eighth window of a recording as the gate would see it online, from a clean and from a noisy sensor."""
     part, examples = data.take(rows), []
     for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
         for row, output, window in _followed(mixture, each):
-            if row % 4 == 0:
+            if row % 8 == 0:
                 made = (output.forecasts - window[-1]).astype(np.float32)
-                examples.append((output.inputs.errors, output.inputs.window, made, each.future[row] - window[-1]))
+                came = (each.future[row] - window[-1]).astype(np.float32)
+                inputs = output.inputs.errors.astype(np.float32), output.inputs.window.astype(np.float32)
+                examples.append((*inputs, made, came, each.collection[row]))
     return tuple(map(np.stack, zip(*examples, strict=True)))
 
 
 def _gate(examples: Sequence[Examples], seed: int) -> Gate:
-    errors, looks, forecasts, futures = map(np.concatenate, zip(*examples, strict=True))
-    return fit_gate(errors, looks, forecasts, futures, seed)
+    errors, looks, forecasts, futures, collection = map(np.concatenate, zip(*examples, strict=True))
+    rows = _evenly(collection, seed)
+    return fit_gate(errors[rows], looks[rows], forecasts[rows], futures[rows], seed)
+
+
+def _evenly(collection: Int[np.ndarray, " B"], seed: int) -> Rows:
+    """As many rows as there are, drawn so that each collection counts by the root of its size."""
+    _, which, count = np.unique(collection, return_inverse=True, return_counts=True)
+    shares = count[which] ** -0.5
+    return np.random.default_rng(seed).choice(len(which), len(which), p=shares / shares.sum())
 
 
 def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> TrainingWindows:
@@ -146,16 +180,18 @@ def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> Trai
 
 
 def _error_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
-    """Errors of the mixture on a recording in each arm's own axes, features of the error model, joints' speeds."""
+    """Errors of the mixture on a recording in each arm's own axes, features of the error model, collection."""
     part, examples = data.take(rows), []
     for row, output, window in _followed(replace(mixture, gate=gate), part):
         own = (part.future[row] - output.mean) @ yaw_frame(window[-1])
-        examples.append((np.einsum("tjd,jde->tje", own, SIDES), output.features, output.motion.speed))
+        examples.append((np.einsum("tjd,jde->tje", own, SIDES), output.features, part.collection[row]))
     return tuple(map(np.stack, zip(*examples, strict=True)))
 
 
-def _error_model(examples: Sequence[Examples]) -> ErrorModel:
-    return fit_error_model(*map(np.concatenate, zip(*examples, strict=True)))
+def _error_model(examples: Sequence[Examples], seed: int) -> ErrorModel:
+    errors, features, collection = map(np.concatenate, zip(*examples, strict=True))
+    rows = _evenly(collection, seed)
+    return fit_error_model(errors[rows], features[rows], seed)
 
 
 def _followed(

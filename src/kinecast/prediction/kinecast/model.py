@@ -21,7 +21,7 @@ from kinecast.prediction.constraint import ConstraintFactor
 from kinecast.prediction.density import GaussianMixture, PoseDensity
 from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
 from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
-from kinecast.prediction.kinecast.experts import TRIVIAL, Expert, Network, expert_from_arrays, forecasts
+from kinecast.prediction.kinecast.experts import TRIVIAL, Networks, forecasts, networks_from_arrays
 from kinecast.prediction.kinecast.features import WindowMotion, yaw_frame
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 from kinecast.prediction.kinecast.weights import Gate, GateInputs, fallback_weights, gate_inputs, rolling_errors
@@ -30,6 +30,8 @@ from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.sampling import sample_motions
 
+GENERAL = 2
+"""Networks that know all collections: as they are, and as poor sensors would give them."""
 LONGEST_PAUSE = 20
 """After a longer gap [frames] nothing of the person is remembered."""
 RECENT_LEADS = [1, 3]
@@ -70,13 +72,13 @@ class Mixture:
     """Experts, gate and fallback weights: the mean.
 
     Attributes:
-        experts: the learned ones.
+        experts: the learned ones: two that know all collections, then one for each, where there are several.
         gate: None while it is being trained; experts then count alike.
         frames, steps: N and T.
         falls_back: whether the trivial experts may take over.
     """
 
-    experts: Sequence[Expert]
+    experts: Networks
     gate: Gate | None
     frames: int
     steps: int
@@ -128,6 +130,7 @@ class State:
         adaptive: how the spread has had to grow; None where it does not follow the person.
         output: the newest mean; None before the first frame.
         scale: (T, 6) of the newest error, without the adaptive factor.
+        weights: (K,) of its common factors.
         stamp: of the newest frame [s].
         path: where the wrists were, the newest last [m].
     """
@@ -136,6 +139,7 @@ class State:
     adaptive: AdaptiveScale | None
     output: MixtureOutput | None = None
     scale: Float[np.ndarray, "T 6"] | None = None
+    weights: Float[np.ndarray, " K"] | None = None
     stamp: float = -np.inf
     path: deque[Float[np.ndarray, "2 3"]] = field(default_factory=deque)
 
@@ -174,7 +178,7 @@ class Kinecast:
 
     def init_state(self) -> State:
         """See kinecast.prediction.method.Method."""
-        adaptive = AdaptiveScale(self.error_model, self.steps) if self.adaptive else None
+        adaptive = AdaptiveScale(self.error_model, self.steps, self.dt) if self.adaptive else None
         return State(self.mixture.rolling_errors(), adaptive)
 
     def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
@@ -190,30 +194,32 @@ class Kinecast:
             state.adaptive.observe(measured)
         window = observation.positions
         output = self.mixture.update(state.errors, window, measured)
-        scale = self.error_model.scale(output.features, output.motion.speed)
+        scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:
-            state.adaptive.predicted(output.mean, scale, yaw_frame(window[-1]))
+            state.adaptive.predicted(output.mean, scale, yaw_frame(window[-1]), weights, output.motion.speed)
         state.path.extend(window[-1 if state.path else 0 :, WRISTS])
         while len(state.path) > PATH / self.dt + 1:
             state.path.popleft()
-        state.output, state.scale, state.stamp = output, scale, observation.stamp
+        state.output, state.scale, state.weights, state.stamp = output, scale, weights, observation.stamp
         return state
 
     def forecast(self, state: State, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         """See kinecast.prediction.method.Method."""
-        if state.output is None or state.scale is None:
+        if state.output is None or state.scale is None or state.weights is None:
             state = self.update(state, observation, observation.positions[-1])
             return self.forecast(state, observation, rng, samples)
-        scale = state.scale if state.adaptive is None else state.scale * state.adaptive.factor[:, None]
+        scale = state.scale
+        if state.adaptive is not None:
+            scale = scale * state.adaptive.factor(state.output.motion.speed)
         rotation = observation.frame[0].T @ yaw_frame(observation.positions[-1])
         factor = with_noise(self.error_model.factor_in(scale, rotation), observation.noise)
         mean = observation.to_torso(state.output.mean)
         draws = rng.standard_normal((factor.shape[-1], samples))
-        common, goals = common_factors(self.error_model.weights, samples, rng), None
+        common, goals = common_factors(state.weights, samples, rng), None
         if observation.goals is None:
             draws *= common
         else:
-            scales = SCALES, self.error_model.weights
+            scales = SCALES, state.weights
             goals = goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
             draws *= rng.permutation(common)
             goals.move(draws, rng)
@@ -226,29 +232,40 @@ class Kinecast:
         return Forecast(
             motions,
             state.output.mean if goals is None else state.output.mean + goals.mean(factor) @ observation.frame[0].T,
-            PoseDensity(observation, mean, self._blocks(mean, factor, goals), constraint),
+            PoseDensity(
+                observation, mean, _blocks(mean, factor, self.error_model.rough, state.weights, goals), constraint
+            ),
             self.limits is not None,
             {"learned_share": state.output.learned},
             {} if goals is None else goals.goals,
-        )
-
-    def _blocks(self, mean: Motion, factor: Factor, goals: GoalMixture | None) -> GaussianMixture:
-        """The density behind the draws: a scale mixture about the mean, or about each goal's."""
-        centres, weights, kind, factors = mean[None], np.ones(1), np.zeros(1, dtype=int), factor[None]
-        if goals is not None:
-            kinds, kind = np.unique(goals.kind, return_inverse=True)
-            factors = np.stack([goals.factor(factor, each) for each in kinds.tolist()])
-            centres, weights = mean + np.moveaxis(factor @ goals.shifts, -1, 0), goals.weights
-        return GaussianMixture.of_positions(
-            centres, factors, weights, kind, SCALES, self.error_model.weights, floor=FLOOR
         )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a model file."""
         assert self.mixture.gate is not None
         parts = {"gate": self.mixture.gate.to_arrays(), "spread": self.error_model.to_arrays()}
-        parts |= {f"expert{k}": expert.to_arrays() for k, expert in enumerate(self.mixture.experts)}
+        parts["experts"] = self.mixture.experts.to_arrays()
         return {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+
+
+def _blocks(
+    mean: Motion, factor: Factor, rough: Motion, weights: Float[np.ndarray, " K"], goals: GoalMixture | None
+) -> GaussianMixture:
+    """The density behind the draws: a scale mixture about the mean, or about each goal's.
+
+    Of the spread of each number, `rough` is its own: what is measured is not as smooth as what is drawn.
+    """
+    spread = np.sqrt((factor**2).sum(axis=-1))
+    smooth = factor * np.sqrt(1.0 - rough**2)[..., None]
+    centres, each, kind, factors = mean[None], np.ones(1), np.zeros(1, dtype=int), smooth[None]
+    if goals is not None:
+        kinds, kind = np.unique(goals.kind, return_inverse=True)
+        factors = np.stack([goals.factor(smooth, one) for one in kinds.tolist()])
+        centres, each = mean + np.moveaxis(factor @ goals.shifts, -1, 0), goals.weights
+    floor = np.broadcast_to(np.hypot(rough * spread, FLOOR), factors.shape[:-1])
+    return GaussianMixture.of_positions(
+        centres, factors, floor, weights=each, kind=kind, scales=SCALES, scale_weights=weights
+    )
 
 
 def with_noise(factor: Factor, noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6 3 R2"]:
@@ -267,30 +284,25 @@ def common_factors(weights: Float[np.ndarray, " K"], samples: int, rng: np.rando
 
 def ablations(whole: Kinecast) -> dict[str, Kinecast]:
     """The method without each of its stages in turn, by what is missing."""
-    mixture, errors = whole.mixture, whole.error_model
-    networks = {k for k, expert in enumerate(mixture.experts) if isinstance(expert, Network)}
-    others = set(range(len(mixture.experts))) - networks
-    plain = replace(errors, conformal=np.ones_like(errors.conformal))
+    mixture, networks = whole.mixture, range(len(whole.mixture.experts))
+    own = {"no networks of one collection": _with_networks(whole, networks[:GENERAL])} if networks[GENERAL:] else {}
     return {
-        "no network": replace(whole, mixture=_without(mixture, networks)),
-        "no radial basis": replace(whole, mixture=_without(mixture, others)),
+        "no network": _with_networks(whole, []),
+        **own,
         "no gate": replace(whole, mixture=replace(mixture, gate=None)),
         "no fallback": replace(whole, mixture=replace(mixture, falls_back=False)),
         "no memory": replace(whole, remembers=False),
         "no adaptive spread": replace(whole, adaptive=False),
-        "no conformal correction": replace(whole, error_model=plain),
         "no limits, no scene": replace(whole, limits=None),
     }
 
 
-def _without(mixture: Mixture, dropped: set[int]) -> Mixture:
-    """The mixture without some of its learned experts; the gate keeps what it learned of the others."""
-    experts = [expert for k, expert in enumerate(mixture.experts) if k not in dropped]
-    rows = [k for k in range(TRIVIAL + len(mixture.experts)) if k - TRIVIAL not in dropped]
-    gate = mixture.gate
-    if gate is not None:
-        gate = replace(gate, bias=gate.bias[rows], slope=gate.slope[rows])
-    return replace(mixture, experts=experts, gate=gate)
+def _with_networks(whole: Kinecast, which: Sequence[int]) -> Kinecast:
+    """The method with some of its networks; the gate keeps what it learned of them."""
+    mixture = whole.mixture
+    rows = [*range(TRIVIAL), *(TRIVIAL + k for k in which)]
+    gate = mixture.gate and replace(mixture.gate, bias=mixture.gate.bias[rows], slope=mixture.gate.slope[rows])
+    return replace(whole, mixture=replace(mixture, experts=mixture.experts.take(which), gate=gate))
 
 
 def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> Kinecast:
@@ -299,7 +311,7 @@ def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> K
     for name, array in arrays.items():
         part, _, own = name.partition(".")
         parts.setdefault(part, {})[own] = array
-    experts = [expert_from_arrays(parts[f"expert{k}"]) for k in range(sum(name.startswith("expert") for name in parts))]
+    experts = networks_from_arrays(parts["experts"])
     gate = Gate.from_arrays(parts["gate"])
     error_model = ErrorModel.from_arrays(parts["spread"])
     if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != card.steps:

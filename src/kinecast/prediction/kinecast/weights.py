@@ -23,7 +23,8 @@ from kinecast.prediction.model_file import Arrays
 LEADS, HALF_LIVES = (1, 3, 6, 10, 15), (8.0, 40.0, 200.0, 10.0)
 """Steps ahead at which forecasts are judged, and how long that is remembered [frames]."""
 LONG_RUN = 2
-"""Which of the half-lives the fallback weights go by; the gate goes by those before it, the error model by the last."""
+"""Which of the half-lives the fallback weights go by; the gate goes by it and those before it, the error model by the
+last."""
 FALLBACK_POWER = 40.0
 """Weight of a forecaster: its long-run error to minus this power."""
 MIXTURE_CREDIT = 0.98
@@ -33,7 +34,8 @@ USUAL_ERROR = 0.03
 PRIOR_FRAMES, PRIOR_OTHERS = 8.0, 1.15
 """Before anything is known, and for as many frames' worth, the trivial experts are taken for 15 % worse."""
 
-FIT_STEPS, FIT_BATCH, FIT_RATE, FIT_DECAY = 400, 192, 0.03, 1e-3
+FIT_STEPS, FIT_BATCH, FIT_RATE, FIT_DECAY, FIT_DROPPED = 1500, 192, 0.02, 1e-2, 0.2
+"""Of the gate's descent; the last is the share of learned experts left out at random: none is to be relied on alone."""
 
 JOINT_TYPE = np.array([0, 1, 2, 0, 1, 2])
 """Shoulder, elbow, wrist: left and right share what is learned."""
@@ -69,7 +71,7 @@ def gate_inputs(
     due: Float[np.ndarray, "E2 6 L H"], motion: WindowMotion, forecasts: Float[np.ndarray, "E T 6 3"]
 ) -> GateInputs:
     """The gate's inputs from the rolling errors [m], the window's motion and what the experts forecast [m]."""
-    errors = np.log(due[: len(forecasts), :, 1:, :LONG_RUN].reshape(len(forecasts), 6, -1) + 0.002)
+    errors = np.log(due[: len(forecasts), :, 1:, : LONG_RUN + 1].reshape(len(forecasts), 6, -1) + 0.002)
     unknown = np.isnan(errors)
     errors[unknown] = 0.0
     learned = forecasts[TRIVIAL:, -1]
@@ -144,12 +146,14 @@ def fit_gate(
     basis = jnp.asarray(step_basis(steps))
     data = (errors, windows, forecasts, futures)
 
-    def loss(parameters, rows, _key):  # type: ignore[no-untyped-def]
+    def loss(parameters, rows, key):  # type: ignore[no-untyped-def]
         bias, share, slope = parameters
         error, look, made, came = rows
         logits = (bias @ basis.T)[:, JOINT_TYPE][None]
         logits = logits - (error @ share) @ basis.T
         logits = logits + jnp.einsum("bjg,egk->bejk", look, slope) @ basis.T
+        kept = jax.random.bernoulli(key, 1.0 - FIT_DROPPED, error.shape[:2]) | (jnp.arange(experts) < TRIVIAL)
+        logits = jnp.where(kept[:, :, None, None], logits, -1e9)
         weights = jax.nn.softmax(logits, axis=1).transpose(0, 1, 3, 2)
         mixed = (weights[..., None] * made).sum(axis=1)
         distance = jnp.sqrt(((mixed - came) ** 2).sum(-1) + 1e-7)
@@ -158,7 +162,7 @@ def fit_gate(
         return 3.0 * (distance.mean((1, 2)) / jnp.sqrt(motion)).mean() + penalty
 
     share = np.zeros((sources, 3))
-    share[:, 0] = 3.0 / sources
+    share[:, 0] = 5.0 / sources
     start = [np.zeros((experts, 3, 3)), share, np.zeros((experts, 5, 3))]
     bias, share, slope = descend(
         loss, start, data, steps=FIT_STEPS, batch=FIT_BATCH, rate=FIT_RATE, decay=0.0, second=0.99, seed=seed
