@@ -35,7 +35,7 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, training_windows
-from kinecast.prediction.kinecast.experts import ExpertExamples
+from kinecast.prediction.kinecast.features import FeatureScale, arm_views
 from kinecast.prediction.methods import TrainingOptions, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks import Serial
@@ -52,7 +52,7 @@ STAGES = (
     ("cut windows", ("resampled_windows",)),
     ("fit experts and baselines",
      ("examples", "position_examples", "posture_examples", "residual_moment", "fit_all", "residual_factor", "network",
-      "radial_basis", "noisy_radial_basis", "mean_of")),
+      "feature_scale", "mixture")),
     ("examples for the gate", ("gate_examples",)),
     ("fit the gate", ("gate",)),
     ("examples for the error model", ("error_examples",)),
@@ -185,10 +185,11 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
 
 
 def _fit_bytes(windows: TrainingWindows) -> float:
-    """Memory that the largest fit, of the radial basis on clean and noisy windows, holds for each window."""
+    """Memory that the largest fit, a network's, holds for each window: its own and, in single precision, JAX's."""
     some = windows.take(np.arange(min(len(windows), 200)))
-    arrays = vars(ExpertExamples(some.observed, some.future)).values()
-    return 2 * sum(array.nbytes for array in arrays if isinstance(array, np.ndarray)) / len(some)
+    views = arm_views(some.observed)
+    features, target = FeatureScale.of(views).features(views), views.to_arms(some.future)
+    return 1.5 * (features.nbytes + target.nbytes) / len(some)
 
 
 def _leading(recording: np.ndarray, share: float) -> np.ndarray:

@@ -26,6 +26,7 @@ from kinecast.errors import ClusterError, DatasetError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
 from kinecast.prediction.kinecast.experts import fit_network
+from kinecast.prediction.kinecast.features import FeatureScale, arm_views
 from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
 from kinecast.tasks import Cluster, Serial, Workers, cluster_at, scatter, worker_count
 
@@ -88,7 +89,8 @@ def test_a_worker_killed_in_the_middle_changes_nothing(cluster: Cluster, people:
 
 def test_descent_gives_the_same_network_everywhere(cluster: Cluster, people: list[Recording]) -> None:
     windows = training_windows(people[:1], WindowOptions())
-    task = (fit_network, windows.observed, windows.future, 20, 0)
+    scale = FeatureScale.of(arm_views(windows.observed))
+    task = (fit_network, scale, windows.observed, windows.future, 20, 0)
     [here], [there] = (workers.results([workers.submit(*task)]) for workers in (Serial(), cluster))
     assert here.to_arrays().keys() == there.to_arrays().keys()
     for name, array in here.to_arrays().items():

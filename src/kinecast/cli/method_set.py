@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,6 @@ def read_models(paths: Sequence[Path], told: Sequence[float | None]) -> MethodSe
         for k, name in enumerate(named)
     }
     trained_on = sorted({name for card in cards for name in card.trained_on})
-    # Those that a constrained model holds itself to, else those found in training.
+    # The least that every constrained model keeps, else those found in training.
     held = [card.limits for card in cards if card.method == "kinecast" or card.method.endswith("_constrained")]
-    return MethodSet(methods, (held or [first.limits])[0], trained_on, options)
+    return MethodSet(methods, reduce(JointLimits.union, held or [first.limits]), trained_on, options)

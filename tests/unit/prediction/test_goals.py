@@ -116,7 +116,7 @@ def test_a_goal_draws_mean_and_samples_to_it(method: Kinecast, seen: Observation
     without, found = forecast(method, seen, Scene()), forecast(method, seen, Scene((), GOALS))
     assert found.goals["right"]["part"] > 0.5
     away = [np.linalg.norm(each.mean[-1, 5] - RIGHT) for each in (without, found)]
-    assert away[1] < 0.7 * away[0]
+    assert away[1] < 0.75 * away[0]
     near = [(np.linalg.norm(each.samples[:, -1, 5] - RIGHT, axis=1) < 0.08).mean() for each in (without, found)]
     assert near[1] > 2 * near[0]
     # The left hand is not touched by the right one's goal.
