@@ -18,5 +18,5 @@ def demo(out: Folder = Path("kinecast-demo")) -> None:
     """
     with resources.as_file(resources.files("kinecast") / "data") as data:
         models = tuple(data / "models" / f"{name}.npz" for name in SHIPPED)
-        evaluate((data / "clips",), out, model=models, samples=500, repeats=5)
+        evaluate((data / "clips",), out, model=models, samples=200, repeats=2)
     print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")
