@@ -40,6 +40,7 @@ TAIL = 4.0
 """Degrees of freedom of the Student t under which shapes are found: heavy tails do not bend them."""
 RANK = 60
 """Directions kept of the correlation between all steps and joints."""
+
 Errors: TypeAlias = Float[np.ndarray, "B T 6 3"]
 
 SCALES = np.array([0.3, 0.6, 1.0, 1.6, 2.5, 4.0])
@@ -243,8 +244,7 @@ def _most_likely(
     """Scales and common factors of maximum likelihood, joints and steps each for themselves; squared radii in [m²]."""
     from kinecast.prediction.descent import descend, jax_in_one_thread
 
-    jax_in_one_thread()
-    import jax
+    jax = jax_in_one_thread()
     import jax.numpy as jnp
 
     def loss(parameters, rows, _key):  # type: ignore[no-untyped-def]

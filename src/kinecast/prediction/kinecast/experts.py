@@ -6,7 +6,7 @@ They are fitted for the mean distance, not its square: that is what is scored.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -85,14 +85,18 @@ class Networks(Arrays):
 
     def take(self, which: Sequence[int]) -> Networks:
         """Some of the networks."""
-        chosen = {each.name: getattr(self, each.name)[list(which)] for each in fields(self) if each.name != "scale"}
-        return replace(self, **chosen)
+        return Networks(self.scale, **{name: getattr(self, name)[list(which)] for name in Networks._weights()})
 
     @staticmethod
     def joined(parts: Sequence[Networks]) -> Networks:
         """The networks of several on one scale, in their order."""
-        names = [each.name for each in fields(Networks) if each.name != "scale"]
-        return Networks(parts[0].scale, **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
+        joint = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Networks._weights()}
+        return Networks(parts[0].scale, **joint)
+
+    @staticmethod
+    def _weights() -> list[str]:
+        """Names of what each network has of its own."""
+        return [each.name for each in fields(Networks) if each.name != "scale"]
 
 
 def _silu(x: Float[np.ndarray, "G V U"]) -> Float[np.ndarray, "G V U"]:
