@@ -17,10 +17,10 @@ from kinecast.robot.outcome import Outcome
 
 SHOWN = (
     "contacts", "contacts_moving", "least_distance", "violation", "time_to_done", "stops", "stopped", "replans",
-    "false_replans",
+    "false_replans", "forecast_error", "forecast_held",
 )  # fmt: skip
 TIMES = ("latency_p50", "latency_p99", "planning_p50", "planning_p99")
-OURS, OTHERS = "kinecast", ("reachable", "zero_velocity", "none", "oracle", "gp_constrained")
+OURS, OTHERS = "kinecast", ("none", "zero_velocity", "damped_velocity", "oracle", "reachable")
 PANELS = (
     ("time_to_done", "Time to done, s"), ("stops", "Stops"), ("stopped", "Time in stops, s"),
     ("violation", "Nearer than S_p, s"),
@@ -44,7 +44,7 @@ def _summary(rows: Mapping[int, Outcome]) -> dict[str, Any]:
     table: dict[str, Any] = {"episodes": len(rows), "done": sum(each.result == "done" for each in rows.values())}
     for key in SHOWN:
         values = _values(rows, key)
-        table[key] = {**_mean(values), "sum": float(values.sum())}
+        table[key] = {**_mean(values), "sum": float(np.nansum(values))}
     for key in TIMES:
         table[key] = float(np.nanmedian(_values(rows, key)))
     return table
@@ -68,8 +68,9 @@ def _values(rows: Mapping[int, Outcome], key: str) -> Float[np.ndarray, " N"]:
 
 
 def _mean(values: Float[np.ndarray, " N"]) -> dict[str, float | None]:
-    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
-    return {"mean": float(values.mean()), "error": error}
+    known = values[np.isfinite(values)]  # a time that was never foretold is no time
+    error = float(known.std(ddof=1) / np.sqrt(len(known))) if len(known) > 1 else None
+    return {"mean": float(known.mean()) if len(known) else None, "error": error}
 
 
 def report(result: Mapping[str, Any]) -> None:
@@ -90,10 +91,13 @@ def _table(title: str, rows: Mapping[str, tuple[str, Mapping[str, Any]]]) -> Non
     print(f"{title:26}{'done':>8}" + "".join(f"{key[:15]:>16}" for key in SHOWN))
     for name, (count, row) in rows.items():
         cells = "".join(
-            f"{row[key]['mean']:9.3f} ±{np.nan if row[key]['error'] is None else row[key]['error']:5.2f}"
-            for key in SHOWN if key in row
-        )  # fmt: skip
+            f"{_number(row[key]['mean']):9.3f} ±{_number(row[key]['error']):5.2f}" for key in SHOWN if key in row
+        )
         print(f"{name:26}{count:>8}{cells}")
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
 
 
 def save_plot(results: Results, path: Path) -> None:

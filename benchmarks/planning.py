@@ -31,7 +31,7 @@ from kinecast.robot.chomp import optimise, smoothest
 from kinecast.robot.collaboration import Forecasters, generated_person
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.occupancy import Occupancy, OccupancyOptions, occupied
-from kinecast.robot.person import MindfulPerson
+from kinecast.robot.person import ReactivePerson
 from kinecast.robot.planner import BEGUN_BY, Plan, Planner, PlannerOptions
 from kinecast.robot.seeding import Seeder
 from kinecast.robot.simulation import Simulation
@@ -246,7 +246,7 @@ def decisions(episodes: int, limit: float = 60.0) -> dict[str, Any]:
         plannings: list[float] = []
         for seed in range(FIRST_SEED, FIRST_SEED + episodes):
             cell = Cell()
-            people = [MindfulPerson(generated_person(seed, cell))]
+            people = [ReactivePerson(generated_person(seed, cell))]
             predict = forecasters.make("kinecast", people)
             simulation = Simulation(people, predict, Camera(CameraOptions(seed=seed)), cell, limit=limit, clock=clock)
             episode = simulation.run()

@@ -226,7 +226,6 @@ class Decision:
         speed: share of the planned speed, 0..1.
         distance: measured distance from the arm to the nearest person [m]; inf without one.
         separation: the distance that speed and separation monitoring asks for at this speed [m].
-        overlap: probability that the person enters the arm's path within the prediction's horizon.
         taken: per cube, the probability that the person reaches for it.
         basis: stamp of the newest frame it rests on [s].
     """
@@ -239,7 +238,6 @@ class Decision:
     speed: float = 1.0
     distance: float = float("inf")
     separation: float = 0.0
-    overlap: float = 0.0
     taken: Mapping[str, float] = field(default_factory=dict)
     basis: float = float("-inf")
 

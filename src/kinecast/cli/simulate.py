@@ -19,6 +19,7 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
+    from kinecast.robot.cell import Cell
     from kinecast.robot.episode import Episode
     from kinecast.robot.outcome import Outcome
     from kinecast.robot.person import PlayedPerson
@@ -32,18 +33,19 @@ ScenarioName = Annotated[
     arg(
         metavar="NAME",
         help="avoid: the same cube, around the person; reorder: another cube first; replan: another in mid-motion; "
-        "all: one after the other.",
+        "all: one after the other; none: a person without a script.",
     ),
 ]
 PredictorName = Annotated[
     str,
     arg(
         metavar="NAME",
-        help="kinecast, gp_constrained, zero_velocity: shipped models; reachable: all the person can reach; "
-        "oracle: what will happen; none: measured distances alone; "
+        help="kinecast, gp_constrained, damped_velocity, zero_velocity: shipped models; "
+        "reachable: all the person can reach; oracle: what will happen; none: measured distances alone; "
         "MODULE:FUNCTION: your own method (docs/predictor.md).",
     ),
 ]
+CellName = Annotated[str, arg(metavar="lab|camera|certified")]
 OutFolder = Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint=f"(default: {OUT})")]
 PersonName = Annotated[str, arg(metavar="synthetic|PATH", help="a generated person, or a recording that is played.")]
 
@@ -52,6 +54,7 @@ def simulate(
     scenario: ScenarioName = "all",
     person: PersonName = SYNTHETIC,
     predictor: PredictorName = "kinecast",
+    cell: CellName = "camera",
     seed: int = 0,
     samples: int = 200,
     view: Switch = False,
@@ -62,18 +65,21 @@ def simulate(
     """Simulates a UR5 that picks and places a red, a green and a blue cube at a table shared with a person.
 
     Args:
+        cell: constants of the camera and of monitoring, and where things stand (docs/robot.md).
         seed: of the person and the camera; the same seed gives the same episode.
         samples: motions drawn per prediction.
         view: shows the cell in the browser until Ctrl-C; writes files only with --out.
         host: address the view listens on; other machines can see and control it where that is not this machine's own.
         port: of the view; 0 is any that is free.
-        out: folder for episode.json, storyboard.png, and a GIF and a timeline of each scenario.
+        out: folder for episode.json, storyboard.png, and an outcome.json (of several scenarios each in a folder of its
+            name), a GIF and a timeline of each scenario.
     """
     from kinecast.robot.collaboration import SCENARIOS  # here, since robot and drawing are extras
 
     check_seed(seed)
     check_scenario(scenario)
-    config = SimulationConfig(person, seed, samples)
+    config = SimulationConfig(person, seed, samples, cell)
+    config.scene()
     if view:
         from kinecast.cli.view import serve  # here, since the view is an extra
 
@@ -99,11 +105,23 @@ class SimulationConfig:
         person: SYNTHETIC, or the path of a recording.
         seed: of the person and the camera.
         samples: motions drawn per prediction.
+        cell: name of the cell.
     """
 
     person: str
     seed: int
     samples: int
+    cell: str = "camera"
+
+    def scene(self) -> Cell:
+        """The cell of that name.
+
+        Raises:
+            OptionError: there is none.
+        """
+        from kinecast.robot.cell import cell_named
+
+        return cell_named(self.cell)
 
     def player(self) -> PlayedPerson | None:
         """The recorded person; None for a generated one.
@@ -111,13 +129,12 @@ class SimulationConfig:
         Raises:
             DatasetError: the recording cannot be read.
         """
-        from kinecast.robot.cell import Cell
         from kinecast.robot.collaboration import replayed_person
 
         if self.person == SYNTHETIC:
             return None
         recordings = read_recordings((Path(self.person),), None)
-        return replayed_person(max(recordings, key=lambda each: len(each.stamps)), Cell())
+        return replayed_person(max(recordings, key=lambda each: len(each.stamps)), self.scene())
 
     def settings(self, scenario: str, predictor: str) -> dict[str, object]:
         """What was asked for, as written to files."""
@@ -126,6 +143,7 @@ class SimulationConfig:
             "scenario": scenario,
             "person": self.person if self.person == SYNTHETIC else Path(self.person).name,
             "predictor": predictor,
+            "cell": self.cell,
             "seed": self.seed,
             "samples": self.samples,
         }
@@ -133,28 +151,35 @@ class SimulationConfig:
 
 def check_scenario(name: str) -> None:
     """Raises OptionError for a scenario that there is not."""
-    from kinecast.robot.collaboration import SCENARIOS
+    from kinecast.robot.collaboration import SCENARIOS, UNSCRIPTED
 
-    if name not in (*SCENARIOS, "all"):
-        raise OptionError(f"--scenario {name}: allowed are {', '.join(SCENARIOS)}, all")
+    if name not in (*SCENARIOS, UNSCRIPTED, "all"):
+        raise OptionError(f"--scenario {name}: allowed are {', '.join(SCENARIOS)}, {UNSCRIPTED}, all")
 
 
 def play(names: tuple[str, ...], predictor: str, config: SimulationConfig) -> dict[str, tuple[Episode, Outcome]]:
     """Runs scenarios, and prints the decisions as they fall."""
-    from kinecast.robot.collaboration import SCENARIOS, Forecasters, simulate_scenario
+    from kinecast.robot.collaboration import Forecasters, simulate_scenario
     from kinecast.robot.outcome import outcome_of
 
     player, forecasters, episodes = config.player(), Forecasters(config.samples), {}
     for name in names:
         with compiling():
-            simulation = simulate_scenario(name, predictor, config.seed, forecasters, player)
-        print(f"{name}: {SCENARIOS[name].about if player is None else 'a recorded person'}")
+            simulation = simulate_scenario(name, predictor, config.seed, forecasters, player, cell=config.scene())
+        print(f"{name}: {about(name) if player is None else 'a recorded person'}")
         for command in simulation.steps():
             if command.news:
                 print(sentence(command.decision), flush=True)
         episode = simulation.episode
         episodes[name] = (episode, outcome_of(episode, simulation.people, simulation.cell))
     return episodes
+
+
+def about(name: str) -> str:
+    """What a scenario shows."""
+    from kinecast.robot.collaboration import SCENARIOS
+
+    return SCENARIOS[name].about if name in SCENARIOS else "A person who does what they would at a table."
 
 
 def sentence(decision: Decision) -> str:
@@ -165,17 +190,18 @@ def sentence(decision: Decision) -> str:
 
 def write(out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: Mapping[str, object]) -> None:
     """Writes the decisions and the pictures."""
-    from kinecast.robot.cell import Cell
-    from kinecast.robot.collaboration import SCENARIOS
-    from kinecast.robot.episode_file import write_episode
+    from kinecast.robot.cell import cell_named
+    from kinecast.robot.episode_file import write_episode, write_outcome
     from kinecast.robot.storyboard import Row, animate_episode, draw_storyboard
     from kinecast.robot.timeline import draw_timeline
     from kinecast.robot.ur5 import UR5
 
-    arm, cell = UR5(), Cell()
+    arm, cell = UR5(), cell_named(str(settings["cell"]))
     out.mkdir(parents=True, exist_ok=True)
     write_episode(out / "episode.json", episodes, settings)
-    rows = [Row(f"{name}: {SCENARIOS[name].about}", episode) for name, (episode, _) in episodes.items()]
+    for name, (_, outcome) in episodes.items():
+        write_outcome((out if len(episodes) == 1 else out / name) / "outcome.json", outcome)
+    rows = [Row(f"{name}: {about(name)}", episode) for name, (episode, _) in episodes.items()]
     draw_storyboard(out / "storyboard.png", rows, cell, arm)
     for name, (episode, _) in episodes.items():
         animate_episode(out / f"{name}.gif", episode, cell, arm, name)

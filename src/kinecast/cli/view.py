@@ -7,7 +7,6 @@ from pathlib import Path
 from kinecast.cli.progress import compiling
 from kinecast.cli.simulate import SimulationConfig, closing_table, sentence, write
 from kinecast.errors import OptionError
-from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import PREDICTORS, SCENARIOS, Forecasters, simulate_scenario
 from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.outcome import outcome_of
@@ -60,7 +59,7 @@ def serve(host: str, port: int, scenario: str, predictor: str, config: Simulatio
         return f"{outcome.result} after {outcome.time_to_done:.1f} s, {contacts}"
 
     first = scenario if scenario in scenarios else scenarios[0]
-    viewer = Viewer(host, port, Setting(first, predictor), scenarios, PREDICTORS, Cell(), make, tell, end)
+    viewer = Viewer(host, port, Setting(first, predictor), scenarios, PREDICTORS, config.scene(), make, tell, end)
     print(f"view: {viewer.url} (Ctrl-C ends it)", flush=True)
     try:
         viewer.serve()

@@ -147,6 +147,34 @@ class Attempt:
             chomp = replace(chomp, person_margin=chomp.person_margin + 0.01, scene_margin=chomp.scene_margin + 0.005)
         return f"{blocked} is in the way"
 
+    def bent(
+        self,
+        goal: Float[np.ndarray, "6"],
+        corners: Float[np.ndarray, "M 6"] | None,
+        people: Occupancy,
+        chomp: ChompOptions,
+    ) -> Trajectory | None:
+        """A way that bends where monitoring would slow the arm down beside people; None where it meets the scene."""
+        count = chomp.waypoints
+        longer, path = 1.0, None
+        if corners is not None:
+            s = np.linspace(0.0, 1.0, count)
+            path = evenly(corners, 10 * s**3 - 15 * s**4 + 6 * s**5)
+            longer = float(np.abs(np.diff(path, axis=0)).sum(axis=0).max() / max(np.abs(goal - self.q).max(), 0.1))
+        duration = self.duration(goal, longer=max(longer, 1.0))
+        reference = smoothest(self.q, goal, count, duration / (count - 1), self.velocity, self.acceleration)
+        times = self.start_time + np.linspace(0.0, duration, count)
+        surroundings = self.surroundings(times)
+        surroundings = replace(surroundings, capsules=people.rows_at(times))
+        path, _, _ = optimise(self.arm, reference if path is None else path, reference, surroundings, chomp)
+        trajectory = Trajectory(times, path)
+        for _ in range(3):
+            stretch = self._stretch(trajectory)
+            if stretch <= 1.0:
+                break
+            trajectory = trajectory.stretched(stretch)
+        return trajectory if self.checker.check(trajectory, self.occupancy).free else None
+
     def legs(self, corners: Float[np.ndarray, "M 6"]) -> tuple[Trajectory, Clearance] | str:
         """A checked trajectory straight from corner to corner, at rest in each, or what was in its way."""
         if self.moving:

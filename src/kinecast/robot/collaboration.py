@@ -23,7 +23,7 @@ from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell, standing_at
-from kinecast.robot.person import Person, PlayedPerson
+from kinecast.robot.person import Person, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
@@ -31,6 +31,7 @@ from kinecast.types import Prediction, SkeletonFrame, Status
 __all__ = [
     "PREDICTORS",
     "SCENARIOS",
+    "UNSCRIPTED",
     "Forecasters",
     "Scenario",
     "forth_and_back",
@@ -41,7 +42,7 @@ __all__ = [
     "simulate_scenario",
 ]
 
-PREDICTORS = ("kinecast", "gp_constrained", "zero_velocity", "reachable", "oracle", "none")
+PREDICTORS = ("kinecast", "gp_constrained", "damped_velocity", "zero_velocity", "reachable", "oracle", "none")
 """What can predict the person: shipped methods; all they can reach; the truth; nothing."""
 
 DT, STEPS = 1 / 30, 15
@@ -81,6 +82,10 @@ SCENARIOS = {
     ),
 }
 """The paper's three demonstrations."""
+UNSCRIPTED = "none"
+"""An episode beside somebody who does what they would, and minds the arm."""
+LIMIT = 120.0
+"""When an episode is over at the latest [s]."""
 
 
 def scripted_person(scenario: Scenario, seed: int, cell: Cell, duration: float = 30.0) -> PlayedPerson:
@@ -92,10 +97,10 @@ def scripted_person(scenario: Scenario, seed: int, cell: Cell, duration: float =
     return _played(fetching(fetches, duration, seed), cell.person)
 
 
-def generated_person(seed: int, cell: Cell, duration: float = 40.0) -> PlayedPerson:
+def generated_person(seed: int, cell: Cell, duration: float = 125.0) -> PlayedPerson:
     """Somebody who reaches now for a cube, now for another place on the table, and rests between."""
     rng = np.random.default_rng([seed, 1])
-    placement = standing_at(float(rng.uniform(1.1, 1.2)), float(rng.uniform(-0.12, 0.12)))
+    placement = standing_at(float(cell.person[0, 3] + rng.uniform(-0.05, 0.05)), float(rng.uniform(-0.12, 0.12)))
     now, fetches = float(rng.uniform(0.2, 2.0)), []
     while now < duration:
         if rng.random() < 0.75:
@@ -109,7 +114,9 @@ def generated_person(seed: int, cell: Cell, duration: float = 40.0) -> PlayedPer
 
 
 def replayed_person(recording: Recording, cell: Cell, start: float = 0.0) -> PlayedPerson:
-    """A recorded person, so placed that they mostly stand where somebody at the table stands, and look at the arm.
+    """A recorded person, so placed that they come as near as somebody who stands at the table, and look at the arm.
+
+    Nine tenths of the time they are no nearer: who walks up to the table ends where others stand.
 
     Jumps of the tracking (kinecast.datasets.repair) are no motion: a shoulder that is half a metre away for one frame
     would be a person whom no arm can keep its distance from.
@@ -133,7 +140,8 @@ def replayed_person(recording: Recording, cell: Cell, start: float = 0.0) -> Pla
     stand = np.eye(4)
     stand[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
     # Shoulders of a standing adult are 1.4 m above the floor; recordings do not say where theirs is.
-    stand[:3, 3] = middle[0], middle[1], middle[2] - 1.4
+    ahead = ((left + right)[seen] / 2 - middle) @ stand[:3, 0]
+    stand[:3, 3] = middle + np.quantile(ahead, 0.9) * stand[:3, 0] - [0.0, 0.0, 1.4]
     kept = recording.stamps - recording.stamps[0] >= start
     stamps = recording.stamps[kept] - recording.stamps[0] - start
     placement = cell.person @ inverse(stand)
@@ -249,22 +257,29 @@ def simulate_scenario(
     forecasters: Forecasters,
     person: Person | None = None,
     options: SupervisorOptions | None = None,
+    cell: Cell | None = None,
 ) -> Simulation:
-    """One of SCENARIOS, ready to run.
+    """One of SCENARIOS, or `none`, ready to run.
 
     Args:
-        name: of the scenario.
+        name: of the scenario; `none`: nobody has a script, a generated person does what people do at a table.
         predictor: one of PREDICTORS, or MODULE:FUNCTION that gives a trained method.
         seed: of the person and the camera.
         forecasters: makes the predictor.
         person: instead of the scripted one.
         options: how the foreman decides.
+        cell: where; the default one.
 
     Raises:
         OptionError: no such scenario or predictor.
     """
-    if name not in SCENARIOS:
-        raise OptionError(f"scenario {name!r} is none of {', '.join(SCENARIOS)}")
-    cell = Cell()
-    people = [person or scripted_person(SCENARIOS[name], seed, cell)]
-    return Simulation(people, forecasters.make(predictor, people), Camera(CameraOptions(seed=seed)), cell, options)
+    if name not in (*SCENARIOS, UNSCRIPTED):
+        raise OptionError(f"scenario {name!r} is none of {', '.join(SCENARIOS)}, {UNSCRIPTED}")
+    cell = cell or Cell()
+    if person is None:
+        generated = name == UNSCRIPTED
+        person = generated_person(seed, cell) if generated else scripted_person(SCENARIOS[name], seed, cell)
+    if name == UNSCRIPTED and isinstance(person, PlayedPerson):
+        person = ReactivePerson(person)
+    camera = Camera(CameraOptions(delay=cell.delay, seed=seed))
+    return Simulation([person], forecasters.make(predictor, [person]), camera, cell, options, limit=LIMIT)

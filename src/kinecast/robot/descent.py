@@ -33,6 +33,26 @@ def _cost(distance: float, zone: float) -> tuple[float, float]:
 
 @njit(cache=True)
 @no_type_check
+def _dilation(distance: float, slowing: tuple[float, float, float, float, float]) -> tuple[float, float]:
+    """Time lost per metre at a distance from a person, where monitoring allows only v(d), and its slope.
+
+    1/v(d) − 1/v₀ beyond the speed v₀ that the arm wants; straight on below a quarter of it. Scaled by the slope there.
+    """
+    constant, half, braking, top, weight = slowing
+    least = 0.25 * top
+    slope = braking / (least + half) / (least * least)
+    nearest = constant + ((least + half) ** 2 - half * half) / (2.0 * braking)
+    if distance <= nearest:
+        return weight * ((1.0 / least - 1.0 / top) / slope + nearest - distance), -weight
+    root = math.sqrt(half * half + 2.0 * braking * (distance - constant))
+    speed = root - half
+    if speed >= top:
+        return 0.0, 0.0
+    return weight * (1.0 / speed - 1.0 / top) / slope, -weight * braking / (root * speed * speed) / slope
+
+
+@njit(cache=True)
+@no_type_check
 def _add_torque(
     frames: np.ndarray, joint: int, p: tuple[float, float, float], f: tuple[float, float, float], out: np.ndarray
 ) -> None:
@@ -72,13 +92,12 @@ def _repel(
     joint: int,
     w: int,
     p: int,
-    gap: float,
+    priced: tuple[float, float],
     direction: tuple[float, float, float],
-    zone: float,
     out: np.ndarray,
 ) -> None:
-    """Adds what pushes one body point along the direction in which its distance to an obstacle grows."""
-    cost, slope = _cost(gap, zone)
+    """Adds what pushes one body point, by cost and slope, where its distance to an obstacle grows."""
+    cost, slope = priced
     if slope != 0.0:
         gx, gy, gz = direction
         force = _push(places, w, p, cost, slope * gx, slope * gy, slope * gz)
@@ -106,6 +125,7 @@ def descend(
     smoothest: np.ndarray,
     q_range: np.ndarray,
     margins: tuple[float, float, float, float],
+    slowing: tuple[float, float, float, float, float],
     rates: tuple[float, float, float],
     least_iterations: int,
     most_iterations: int,
@@ -123,6 +143,8 @@ def descend(
         smoothest: (n, 6) inner waypoints of least smoothness cost.
         q_range: (6, 2) [rad].
         margins: of persons: least distance, zone beyond it in which the cost rises; of the scene: the same [m].
+        slowing: by monitoring, beside persons: constant part of S_p [m], v_h + a T_r [m/s], a [m/s²], the speed that
+            the arm wants [m/s], and the weight of the time lost, 0 to leave it out.
         rates: obstacle step, smoothness step, largest change of an angle in one iteration [rad].
         least_iterations, most_iterations: stops between the two as soon as every least distance is kept.
         patience: stops after so many iterations without progress.
@@ -134,6 +156,10 @@ def descend(
     base, origins, sites, joint, radius, link = arm
     person_margin, person_zone, scene_margin, scene_zone = margins
     obstacle_step, smooth_step, largest = rates
+    constant, half, braking, top, weight = slowing
+    slowed = person_zone
+    if weight > 0.0:
+        slowed = max(person_zone, constant + ((top + half) ** 2 - half * half) / (2.0 * braking) - person_margin)
     waypoints, count = len(q), len(sites)
     inner = waypoints - 2
     frames = np.empty((waypoints, 6, 3, 4))
@@ -164,14 +190,18 @@ def descend(
                     gap, gx, gy, gz = nearest_capsule(prepared[w], x, y, z, scratch)
                     gap -= radius[p] + person_margin
                     worst = min(worst, gap)
-                    _repel(places, frames[w], joint[p], w, p, gap, (gx, gy, gz), person_zone, torque[w - 1])
-                    spare[0, w, p], looked[0, w, p] = gap - person_zone, places[w, p]
+                    cost, slope = _cost(gap, person_zone)
+                    if weight > 0.0:
+                        lost, steeper = _dilation(gap + person_margin, slowing)
+                        cost, slope = cost + lost, slope + steeper
+                    _repel(places, frames[w], joint[p], w, p, (cost, slope), (gx, gy, gz), torque[w - 1])
+                    spare[0, w, p], looked[0, w, p] = gap - slowed, places[w, p]
                 moved = _way(places, looked[1], w, p)
                 if moved >= spare[1, w, p]:
                     gap, gx, gy, gz = nearest_obstacle(obstacles[w], first_link, link[p], x, y, z, np.inf)
                     gap -= radius[p] + scene_margin
                     worst = min(worst, gap)
-                    _repel(places, frames[w], joint[p], w, p, gap, (gx, gy, gz), scene_zone, torque[w - 1])
+                    _repel(places, frames[w], joint[p], w, p, _cost(gap, scene_zone), (gx, gy, gz), torque[w - 1])
                     spare[1, w, p], looked[1, w, p] = gap - scene_zone, places[w, p]
         if worst > least:
             if worst > least + PROGRESS:

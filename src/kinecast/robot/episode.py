@@ -83,6 +83,8 @@ class Episode:
         latencies: frame in to decision out, planning beside it not counted [s].
         plannings: time each plan took [s].
         replans: reactions that changed cube or path.
+        forecasts: of each way to the end of a grasp or a placing: how long it took, how long it was expected to take,
+            and the 5 and 95 % quantiles of that [s].
         placed: when each cube stood in its place [s].
         given_up: cubes that could not be had.
         end: when it was over [s].
@@ -94,6 +96,7 @@ class Episode:
     latencies: list[float] = field(default_factory=list)
     plannings: list[float] = field(default_factory=list)
     replans: int = 0
+    forecasts: list[tuple[float, float, float, float]] = field(default_factory=list)
     placed: dict[str, float] = field(default_factory=dict)
     given_up: tuple[str, ...] = ()
     end: float = 0.0

@@ -14,7 +14,7 @@ from kinecast.robot.episode import Episode
 from kinecast.robot.outcome import Outcome
 from kinecast.types import Decision
 
-__all__ = ["write_episode"]
+__all__ = ["write_episode", "write_outcome"]
 
 EVERY = 5
 """Control steps between two rows of the timeline: 25 a second."""
@@ -33,6 +33,12 @@ def write_episode(path: Path, episodes: Mapping[str, tuple[Episode, Outcome]], s
         "episodes": {name: _content(episode, outcome) for name, (episode, outcome) in episodes.items()},
     }
     write_atomically(path, (json.dumps(_plain(content), indent=1) + "\n").encode())
+
+
+def write_outcome(path: Path, outcome: Outcome) -> None:
+    """Write the figures of one episode; its folder is made where it is missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, (json.dumps(outcome.plain(), indent=1) + "\n").encode())
 
 
 def _content(episode: Episode, outcome: Outcome) -> dict[str, Any]:

@@ -154,6 +154,14 @@ class Places:
             for cube in cell.cubes for point in (cube.position, cube.place)
         }  # fmt: skip
 
+    def usual(self, point: Float[np.ndarray, "3"], speed: float) -> float:
+        """Time from rest to above a point, with nobody there, at a speed of the joints [rad/s]."""
+        rows = self._above[tuple(point)]
+        if not len(rows) or not len(self._resting):
+            return 0.0
+        way = np.abs(nearest(rows, self._resting[0], self._range, 1)[0] - self._resting[0]).max()
+        return 1.875 * float(way) / speed
+
     def above(self, point: Float[np.ndarray, "3"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "G 6"]:
         """Configurations above a cube or place from which the way down is straight, the nearest to q [rad] first."""
         return nearest(self._above[tuple(point)], q, self._range)

@@ -82,6 +82,11 @@ class Executor:
         return not self._motions
 
     @property
+    def at_rest(self) -> bool:
+        """It stands."""
+        return bool(np.abs(self.qd).max() < 1e-3)
+
+    @property
     def progress(self) -> float:
         """Time since the first waypoint of the trajectory at which the arm is [s]; below 0 on the way there."""
         return self._clock.s - sum(motion.duration for motion in self._motions[:-1])
@@ -146,10 +151,12 @@ class Executor:
             clock = self._later(clock, scale)
         return self._at(clock)
 
-    def stopping(self) -> tuple[Float[np.ndarray, "6"], float]:
-        """Where the arm would come to rest if it braked from now on (6,) [rad], and when [s from now]."""
+    def stopping(self, after: float = 0.0) -> tuple[Float[np.ndarray, "6"], float]:
+        """Where the arm comes to rest if it brakes after a while [s] (6,) [rad], and when [s from now]."""
         clock, steps = self._clock, 0
-        while clock.rate > 1e-6 and self._motions and steps * self.dt < 5.0:
+        while steps * self.dt < after - 1e-9 and self._motions:
+            clock, steps = self._later(clock, self._scale), steps + 1
+        while clock.rate > 1e-6 and self._motions and steps * self.dt < after + 5.0:
             clock, steps = self._later(clock, 0.0), steps + 1
         return self._at(clock)[0], steps * self.dt
 

@@ -13,7 +13,7 @@ from kinecast.robot.distances import capsules_at, signed_distances
 from kinecast.robot.regions import STARTS, STOPS, regions
 from kinecast.types import Prediction, SkeletonFrame, Status
 
-__all__ = ["PARTS", "Occupancy", "OccupancyOptions", "measured", "occupied", "reachable", "seen"]
+__all__ = ["PARTS", "Occupancy", "OccupancyOptions", "arms_of", "measured", "occupied", "reachable", "seen", "standing"]
 
 PARTS = (
     "left_upper_arm", "left_forearm", "left_hand", "right_upper_arm", "right_forearm", "right_hand",
@@ -190,7 +190,7 @@ def reachable(predictions: Sequence[Prediction], now: float, options: OccupancyO
 def seen(frames: Sequence[SkeletonFrame], now: float, options: OccupancyOptions | None = None) -> Occupancy:
     """What several people can reach from where they were last seen, one frame each; arguments as `occupied`."""
     options = options or OccupancyOptions()
-    return _joined([_reach(_arms(frame), frame.stamp, now, options) for frame in frames], now, options)
+    return _joined([_reach(arms_of(frame), frame.stamp, now, options) for frame in frames], now, options)
 
 
 def measured(frames: Sequence[SkeletonFrame], now: float, options: OccupancyOptions | None = None) -> Occupancy:
@@ -199,7 +199,7 @@ def measured(frames: Sequence[SkeletonFrame], now: float, options: OccupancyOpti
     They do not grow: this is for distances to what was measured.
     """
     options = replace(options or OccupancyOptions(), reach_speed=0.0, growth_limit=0.0)
-    persons = [_Person(np.array([now]), _bodies(_arms(frame)[None], options)) for frame in frames]
+    persons = [_Person(np.array([now]), _bodies(arms_of(frame)[None], options)) for frame in frames]
     return _joined(persons, now, options)
 
 
@@ -238,10 +238,16 @@ def _reach(arms: Float[np.ndarray, "6 3"], stamp: float, now: float, options: Oc
     return _Person(times, rows)
 
 
-def _arms(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
+def arms_of(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
     """(6, 3) the six arm joints of a frame; NaN where it has none."""
     place = dict(zip(frame.joints, frame.positions, strict=True))
     return np.stack([place.get(name, np.full(3, np.nan)) for name in _ARM])
+
+
+def standing(prediction: Prediction) -> Prediction:
+    """Nothing but where the person was at the stamp: one motion that stays there."""
+    still = np.repeat(_arms_at_stamp(prediction)[None], len(prediction.times), axis=0)
+    return replace(prediction, samples=still[None], mean=still)
 
 
 def _arms_at_stamp(prediction: Prediction) -> Float[np.ndarray, "6 3"]:

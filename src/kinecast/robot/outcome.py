@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,8 @@ LONG_ENOUGH = 0.25
 """A standstill on the way is a stop from this duration on [s]."""
 SOON, NEAR = 1.0, 0.27
 """A person did reach for a cube if a wrist came this near to it [m], hand and fingers included, within so long [s]."""
+NEARLY = 0.2
+"""Two steps of the roll-out (kinecast.robot.expected_time.STEP) [s]."""
 ON_THE_WAY = {RobotState.WAITING, RobotState.STOPPED, RobotState.REPLANNING}
 
 
@@ -41,6 +44,10 @@ class Outcome:
         false_replans: changes of cube where the person did not reach for the one left within a second.
         latency_p50, latency_p99: frame in to decision out, planning beside it not counted [ms].
         planning_p50, planning_p99: of a plan [ms].
+        forecasts: how many times of ways were foretold and came out.
+        forecast_error: median of their relative errors.
+        forecast_held: share of them within the 90 % interval that was foretold, or 0.2 s of it: a control
+            step of the roll-out on either side.
     """
 
     result: str
@@ -57,6 +64,34 @@ class Outcome:
     latency_p99: float
     planning_p50: float
     planning_p99: float
+    forecasts: int
+    forecast_error: float
+    forecast_held: float
+
+    def plain(self) -> dict[str, Any]:
+        """As `simulate` writes it to outcome.json; what is not finite becomes null."""
+        pairs = {
+            "latency_ms": (self.latency_p50, self.latency_p99),
+            "planning_ms": (self.planning_p50, self.planning_p99),
+        }
+        return {
+            "result": self.result,
+            "time_to_done_s": _finite(self.time_to_done),
+            "stops": self.stops,
+            "stopped_s": _finite(self.stopped),
+            "contacts": self.contacts,
+            "contacts_moving": self.contacts_moving,
+            "violation_s": _finite(self.violation),
+            "least_distance_m": _finite(self.least_distance),
+            "replans": self.replans,
+            "false_replans": self.false_replans,
+            **{name: {"p50": _finite(p50), "p99": _finite(p99)} for name, (p50, p99) in pairs.items()},
+            "forecast": {
+                "ways": self.forecasts,
+                "median_relative_error": _finite(self.forecast_error),
+                "within_90_percent": _finite(self.forecast_held),
+            },
+        }
 
 
 def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcome:
@@ -86,7 +121,20 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
         latency_p99=latency[1],
         planning_p50=planning[0],
         planning_p99=planning[1],
+        forecasts=len(episode.forecasts),
+        forecast_error=float(np.median([abs(took / mean - 1.0) for took, mean, *_ in episode.forecasts] or [np.nan])),
+        forecast_held=_held(episode.forecasts),
     )
+
+
+def _held(forecasts: Sequence[tuple[float, float, float, float]]) -> float:
+    """Share of times within their intervals; NaN of nothing."""
+    within = [low - NEARLY <= took <= high + NEARLY for took, _, low, high in forecasts]
+    return float(np.mean(within)) if within else float("nan")
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 5) if np.isfinite(value) else None
 
 
 def _percentiles(seconds: Sequence[float]) -> tuple[float, float]:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
-from kinecast.robot.occupancy import Occupancy, OccupancyOptions, occupied
-from kinecast.robot.overlap import overlap_probability, reach_probabilities
+from kinecast.robot.motions import Motions, PoseHistory, motions_of
+from kinecast.robot.occupancy import Occupancy, OccupancyOptions, arms_of, occupied, standing
+from kinecast.robot.overlap import reach_probabilities
 from kinecast.robot.ur5 import UR5
 from kinecast.robot.watch import Watch, WatchOptions
 from kinecast.types import Prediction, Status
@@ -23,10 +23,6 @@ Path = Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N 6"]]
 
 REFRESH = 0.03
 """While the camera is silent, what may be occupied is found anew after so long [s]."""
-PLAN_LEVEL = 0.5
-"""Share of the predicted motions that a plan keeps clear of."""
-LATER, LATER_MARGIN = 0.2, 0.08
-"""So long after the horizon [s] a plan keeps clear of bodies alone, by this margin [m]."""
 
 
 class Outlook:
@@ -45,6 +41,7 @@ class Outlook:
         self.occupancy = Occupancy.empty()
         self.predictions: tuple[Prediction, ...] = ()
         self._updated = -np.inf
+        self._histories: dict[str, PoseHistory] = {}
 
     @property
     def basis(self) -> float:
@@ -54,6 +51,9 @@ class Outlook:
     def see(self, shot: Shot, predictions: Sequence[Prediction], now: float) -> None:
         """Takes in a shot, and what is predicted from it for each person; nothing where nobody predicts."""
         self.watch.add(shot)
+        for frame in shot.frames:
+            self._histories.setdefault(frame.person, PoseHistory()).add(frame.stamp, arms_of(frame))
+        self._histories = {name: each for name, each in self._histories.items() if name in self.watch.persons}
         kept = {each.person: each for each in (*self.predictions, *predictions)}
         self.predictions = tuple(kept[name] for name in self.watch.persons if name in kept)
         self._update(now)
@@ -67,43 +67,22 @@ class Outlook:
         self._updated = now
         self.occupancy = occupied(self.predictions, now, self.options) if self.predictions else Occupancy.empty(now)
 
-    def to_plan_around(self) -> Occupancy:
-        """Occupied space for a plan: half the motions up to the horizon, then the bodies where they will be by then.
+    def motions(self, now: float) -> Motions | None:
+        """What everybody may do in the next seconds; None where nothing is predicted.
 
-        All that a person may do, or reach a second from now, leaves no path at all. Plans keep clear of what is likely;
-        that the arm is never where a person may be is ensured by its pace, at every instant.
+        Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
         """
         if not self.predictions:
-            return self.occupancy
-        found = occupied(self.predictions, self._updated, replace(self.options, level=PLAN_LEVEL))
-        bodies = np.tile(self.options.radii, found.radius.shape[1] // len(self.options.radii)) + LATER_MARGIN
-        return replace(
-            found,
-            times=np.append(found.times, found.times[-1] + LATER),
-            start=np.concatenate([found.start, found.start[-1:]]),
-            end=np.concatenate([found.end, found.end[-1:]]),
-            radius=np.concatenate([found.radius, bodies[None]]),
-            growth_limit=0.0,
-        )
-
-    def within(self, q: Float[np.ndarray, "6"], people: Occupancy, time: float) -> bool:
-        """Whether the arm at q [rad] is within what may be occupied at a time [s]."""
-        body = self.arm.body_points(q[None])
-        distance, _ = people.signed_distance(body.positions, np.array([time]))
-        return bool((distance < body.radius).any())
+            return None
+        trusted = self.trusted(now)
+        shown = [each if any(each is other for other in trusted) else standing(each) for each in self.predictions]
+        histories = [self._histories.get(each.person, PoseHistory()) for each in shown]
+        return motions_of(shown, histories, now, self.options, round(1e3 * now))
 
     def trusted(self, now: float) -> list[Prediction]:
         """Predictions that say more than what can be reached."""
         oldest = self.options.stale_after + 1e-9
         return [each for each in self.predictions if each.status is Status.OK and now - each.stamp <= oldest]
-
-    def overlap(self, path: Path, now: float) -> float:
-        """Probability that somebody enters the path while the arm is there, by the predictions that can be trusted."""
-        chance = 0.0
-        for prediction in self.trusted(now):
-            body = self.arm.body_points(path(prediction.times - now))
-            chance = max(chance, overlap_probability(prediction, body.positions, body.radius, self.options))
-        return chance
 
     def taken(self, names: Sequence[str], now: float) -> dict[str, float]:
         """Per cube, the probability that somebody reaches for it; 1 where a hand is there already."""

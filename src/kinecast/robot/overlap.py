@@ -1,4 +1,4 @@
-"""Probability that a person will be where the arm is about to be, or reaches for a cube: counted over the samples."""
+"""Probability that a person reaches for a cube: counted over the samples."""
 
 from __future__ import annotations
 
@@ -11,27 +11,10 @@ from numba import njit
 from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.types import Prediction
 
-__all__ = ["overlap_probability", "reach_probabilities"]
+__all__ = ["reach_probabilities"]
 
 MOST_SAMPLES = 100
 """More samples cost time and tell little more: the standard error of a probability is 0.05 at most."""
-
-
-def overlap_probability(
-    prediction: Prediction,
-    positions: Float[np.ndarray, "T P 3"],
-    radius: Float[np.ndarray, " P"],
-    body: OccupancyOptions | None = None,
-) -> float:
-    """P(some limb touches some ball at some step).
-
-    Args:
-        prediction: T steps.
-        positions: (T, P, 3) centres of balls along the arm at the prediction's times [m].
-        radius: (P,) theirs [m].
-        body: thickness of the limbs.
-    """
-    return float(_hits(prediction, positions, radius, body).any(axis=1).mean())
 
 
 def reach_probabilities(

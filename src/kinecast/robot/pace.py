@@ -33,12 +33,10 @@ class PaceOptions:
     Attributes:
         silence: without a shot for this long, nobody knows who is there [s].
         failsafe: by prediction.
-        separation: by measurement.
     """
 
     silence: float = 0.2
     failsafe: FailsafeOptions = field(default_factory=FailsafeOptions)
-    separation: SeparationOptions = field(default_factory=SeparationOptions)
 
     def __post_init__(self) -> None:
         if not self.silence > 0:
@@ -81,8 +79,10 @@ def allowed_pace(
         now: [s].
         options: see PaceOptions.
     """
-    predicted = free_speed(outlook.arm, path, now, outlook.occupancy, options.failsafe)
-    present, full = _separations(outlook, q, qd, path, now, options.separation)
+    predicted = 1.0
+    if outlook.cell.failsafe:
+        predicted = free_speed(outlook.arm, path, now, outlook.occupancy, options.failsafe)
+    present, full = _separations(outlook, q, qd, path, now, outlook.cell.separation)
     # The arm may not yet move as its path says, or not as fast: both what it does and what it is about to do count.
     measured = min(full.scale, present.scale * speed if present.scale < 1.0 else 1.0)
     limits = [(predicted, Restraint.PREDICTION), (measured, Restraint.SEPARATION)]

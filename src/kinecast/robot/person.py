@@ -15,7 +15,7 @@ from kinecast.robot.body import TRUE_BODY, body_capsules
 from kinecast.robot.separation import SeparationOptions, separation
 from kinecast.robot.ur5 import LinkCapsules
 
-__all__ = ["MindfulPerson", "Person", "PlayedPerson"]
+__all__ = ["Person", "PlayedPerson", "ReactivePerson"]
 
 
 @runtime_checkable
@@ -89,18 +89,19 @@ class PlayedPerson:
         return pose
 
 
-class MindfulPerson:
+class ReactivePerson:
     """Somebody who does what was recorded, but stops short of an arm that is in the way, and goes on when it is gone.
 
-    If it is still there after a while they draw back the way they came, and try again. Everybody does so who sees a
-    robot; a recording alone would be pushed through it, and two who wait for one another would wait for ever.
+    If it is still there after a while they draw back the way they came, each time farther, and try again. Everybody
+    does so who sees a robot; a recording alone would be pushed through it, and two who wait for one another would
+    wait for ever.
 
     Args:
         person: what they want to do.
         margin: to the arm [m].
         foresight: how far ahead they look [s].
         change: how fast they slow down and take up again, of their own speed [1/s].
-        patience: how long they wait, and how long they draw back then [s].
+        patience: how long they wait, and how long they draw back at first [s]; so much longer each time in a row.
     """
 
     def __init__(
@@ -111,6 +112,7 @@ class MindfulPerson:
         self.patience = patience
         self._times, self._clocks, self._rate = [0.0], [0.0], 1.0
         self._blocked_since: float | None = None
+        self._tries, self._furthest = 1, 0.0
 
     @property
     def name(self) -> str:
@@ -140,9 +142,12 @@ class MindfulPerson:
         self._times.append(now)
         self._clocks.append(clock)
         waited = 0.0 if self._blocked_since is None else now - self._blocked_since
-        back = self.patience <= waited < 2.0 * self.patience
-        if waited >= 2.0 * self.patience:
-            self._blocked_since = None
+        if clock > self._furthest + self.patience:  # they got past it
+            self._tries, self._furthest = 1, clock
+        back = self.patience <= waited < (1 + self._tries) * self.patience
+        if waited >= (1 + self._tries) * self.patience:
+            self._blocked_since, self._tries = None, self._tries + 1
+            self._furthest = max(self._furthest, clock)
         wish = -1.0 if back else 1.0
         here, soon = self.person.at(clock), self.person.at(clock + wish * self.foresight)
         if here is not None and soon is not None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +13,10 @@ from jaxtyping import Float, Int
 from kinecast.geometry.scene import Scene
 from kinecast.robot.attempt import Attempt, PlannerOptions
 from kinecast.robot.collision import CollisionChecker
+from kinecast.robot.errand import nearest, postures
 from kinecast.robot.occupancy import Occupancy
 from kinecast.robot.seeding import Seeder
+from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
@@ -26,6 +30,10 @@ ENOUGH_GOALS = 8
 """Free goals that are enough; they are looked for by so many at once."""
 BEGUN_BY = 0.6
 """Share of the budget after which nothing new is begun: what is under way takes its time."""
+WANTED = 1.0
+"""Speed of a body point that the arm wants beside people [m/s]: about what it reaches on the way to a cube."""
+DRAWN_IN = (0.3, 0.3)
+"""Distance from the arm's axis and height of a hand that is drawn in [m]."""
 ROOM = 0.1
 ROOM_WORTH = 2.0
 """So much room around a goal [m], from persons, the scene and the arm itself, is worth a later arrival [s/m]."""
@@ -112,6 +120,53 @@ class Planner:
         answer: Plan | str = self._attempt(job, np.asarray(goals, dtype=np.float64), begin + BEGUN_BY * budget, seed)
         took = 1e3 * (time.perf_counter() - begin)
         return NoPlan(answer, took) if isinstance(answer, str) else replace(answer, milliseconds=took)
+
+    def bent(
+        self,
+        plan: Plan,
+        q: Float[np.ndarray, "6"],
+        goals: Float[np.ndarray, "G 6"],
+        people: Occupancy,
+        start_time: float,
+        separation: SeparationOptions,
+    ) -> Iterator[Plan]:
+        """Ways to where a plan leads that bend where speed would be lost beside people: from its own side, and inside.
+
+        Args:
+            plan: with nobody there.
+            q: (6,) where the arm rests at the start time [rad].
+            goals: (G, 6) of the plan [rad].
+            people: where they may be; they are no obstacles, they cost time.
+            start_time: [s].
+            separation: of monitoring.
+        """  # fmt: skip
+        job = Attempt(self.checker, self.options, q, Occupancy.empty(start_time), start_time)
+        half = separation.least_speed + separation.braking * separation.reaction
+        slowing = (separation.constant, half, separation.braking, WANTED, 0.3)
+        chomp = replace(
+            self.options.chomp,
+            slowing=slowing,
+            person_margin=0.0,
+            waypoints=24,
+            least_iterations=25,
+            most_iterations=40,
+        )
+        goal = goals[plan.goal]
+        inside = self._inside(q, goal)
+        for corners in (None, inside):
+            trajectory = job.bent(goal, corners, people, chomp) if corners is None or len(corners) else None
+            if trajectory is not None:
+                yield Plan(trajectory, plan.clearance, "chomp", 0.0, plan.goal)
+
+    def _inside(self, q: Float[np.ndarray, "6"], goal: Float[np.ndarray, "6"]) -> Float[np.ndarray, "M 6"]:
+        """Corners of a way past the arm's own foot, the hand drawn in; none where it cannot be."""
+        start, end = (self.arm.forward_kinematics(each)[:3, 3] for each in (q, goal))
+        first, last = math.atan2(start[1], start[0]), math.atan2(end[1], end[0])
+        turn = 0.5 * (first + last)
+        T = np.diag([1.0, -1.0, -1.0, 1.0])
+        T[:3, 3] = DRAWN_IN[0] * math.cos(turn), DRAWN_IN[0] * math.sin(turn), DRAWN_IN[1]
+        found = nearest(postures(self.arm, T), 0.5 * (q + goal), self.arm.q_range, 1)
+        return np.stack([q, found[0], goal]) if len(found) else found
 
     def _attempt(self, job: Attempt, goals: Float[np.ndarray, "G 6"], end: float, seed: int) -> Plan | str:
         """A plan, or the reason why there is none."""

@@ -9,35 +9,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-from jaxtyping import Float
-
 from kinecast.errors import OptionError
-from kinecast.robot.occupancy import Occupancy
-from kinecast.robot.planner import NoPlan, Plan
+from kinecast.robot.choice import Choice, Request
+from kinecast.robot.planner import NoPlan
 
-__all__ = ["Answer", "DeferredDesk", "Desk", "Request", "Solve", "ThreadDesk"]
+__all__ = ["Answer", "DeferredDesk", "Desk", "Solve", "ThreadDesk"]
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, eq=False)
-class Request:
-    """A path wanted.
-
-    Attributes:
-        what: it is for, to tell answers apart.
-        q: (6,) where it starts, at rest [rad].
-        goals: (G, 6) where it may end [rad].
-        occupancy: where people may be.
-        start_time: when it starts [s].
-    """
-
-    what: str
-    q: Float[np.ndarray, "6"]
-    goals: Float[np.ndarray, "G 6"]
-    occupancy: Occupancy
-    start_time: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,21 +24,21 @@ class Answer:
 
     Attributes:
         request: answered.
-        plan: the path; None where there is none.
+        choice: what is best; None where there is no way.
         reason: why there is none, in words.
         crashed: whether the planner failed rather than found nothing.
         milliseconds: the planner worked.
     """
 
     request: Request
-    plan: Plan | None
+    choice: Choice | None
     reason: str = ""
     crashed: bool = False
     milliseconds: float = 0.0
 
 
-Solve = Callable[[Request], Plan | NoPlan]
-"""A planner."""
+Solve = Callable[[Request], Choice | NoPlan]
+"""Chooses (kinecast.robot.choice)."""
 
 
 @runtime_checkable
@@ -169,7 +147,7 @@ def _answered(solve: Solve, request: Request, clock: Callable[[], float] = time.
     try:
         found = solve(request)
     except Exception as error:
-        log.exception("planning for %s failed", request.what)
+        log.exception("planning for %s failed", request.why)
         return Answer(request, None, f"the planner failed: {error}", True, 1e3 * (clock() - started))
     milliseconds = 1e3 * (clock() - started)
     if isinstance(found, NoPlan):

@@ -20,7 +20,7 @@ from numba import njit
 
 from kinecast.errors import OptionError
 
-__all__ = ["Separation", "SeparationOptions", "closest_points", "separation"]
+__all__ = ["Separation", "SeparationOptions", "allowed_speed", "closest_points", "separation"]
 
 
 @dataclass(frozen=True)
@@ -142,6 +142,15 @@ def closest_points(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarra
 
 @njit(cache=True)
 @no_type_check
+def allowed_speed(room: float, human: float, reaction: float, braking: float) -> float:
+    """Greatest v_r [m/s] whose S_r + S_s and v_h T_s fit into the room left [m]: the quadratic's root."""
+    half = braking * reaction + human
+    square = half * half + 2.0 * braking * room
+    return math.sqrt(square) - half if room > 0.0 else 0.0
+
+
+@njit(cache=True)
+@no_type_check
 def _separation(
     a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, wb0, wb1, age,
     reaction, braking, unknown, least, constant, oldest, across,
@@ -177,8 +186,5 @@ def _separation(
             if distance - needed < worst:
                 worst, required, link = distance - needed, needed, i
             if robot > 1e-6 and distance < needed:
-                half = braking * reaction + human
-                room = half * half + 2 * braking * (distance - fixed)
-                allowed = math.sqrt(room) - half if room > half * half else 0.0
-                scale = min(scale, allowed / robot)
+                scale = min(scale, allowed_speed(distance - fixed, human, reaction, braking) / robot)
     return nearest, required, worst, scale, link

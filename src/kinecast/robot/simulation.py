@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 
@@ -10,21 +9,22 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.robot.body import TRUE_BODY, body_capsules
-from kinecast.robot.camera import Camera
+from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell
+from kinecast.robot.choice import Chooser
 from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.episode import Episode, Pose, Scenery, Tick
 from kinecast.robot.errand import nearest, postures
 from kinecast.robot.execution import Executor
-from kinecast.robot.person import MindfulPerson, Person
-from kinecast.robot.planner import NoPlan, Plan, Planner, PlannerOptions
-from kinecast.robot.planning_desk import DeferredDesk, Request, Solve
+from kinecast.robot.person import Person, ReactivePerson
+from kinecast.robot.planner import Planner, PlannerOptions
+from kinecast.robot.planning_desk import DeferredDesk, Solve
 from kinecast.robot.separation import SeparationOptions, separation
 from kinecast.robot.supervisor import Command, Supervisor, SupervisorOptions
 from kinecast.robot.ur5 import UR5, LinkCapsules
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["Predict", "Simulation", "planner_of"]
+__all__ = ["Predict", "Simulation"]
 
 Predict = Callable[[SkeletonFrame, float], Prediction | None]
 """Takes a frame and the present time; None where nothing is predicted."""
@@ -35,16 +35,6 @@ QUICK = PlannerOptions(straight_goals=2, seeded=1, search_iterations=150)
 """As much as can be done in the latency of a plan."""
 SHOWN = 60
 """Samples kept for pictures."""
-
-
-def planner_of(planner: Planner) -> Solve:
-    """A planner as a desk asks it."""
-
-    def solve(request: Request) -> Plan | NoPlan:
-        # The search ends by itself after so many steps: what is found depends on the request alone, not on the clock.
-        return planner.plan(request.q, request.goals, request.occupancy, request.start_time, budget=math.inf)
-
-    return solve
 
 
 class Simulation:
@@ -73,15 +63,18 @@ class Simulation:
         solve: Solve | None = None,
         latency: float = 0.1,
         dt: float = 0.008,
-        limit: float = 60.0,
+        limit: float = 120.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.arm, self.cell = UR5(), cell or Cell()
-        self.people, self.predict, self.camera, self.limit = people, predict, camera or Camera(), limit
+        self.people, self.predict, self.limit = people, predict, limit
+        self.camera = camera or Camera(CameraOptions(delay=self.cell.delay))
         q = self._start()
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
-        self.desk = DeferredDesk(solve or planner_of(Planner(self.arm, self.cell.scene, QUICK)), latency, clock)
+        options = options or SupervisorOptions()
+        chooser = Chooser(Planner(self.arm, self.cell.scene, QUICK), self.cell, options.choice)
+        self.desk = DeferredDesk(solve or chooser.choose, latency, clock)
         self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
         self.episode = Episode()
         self._truth = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0, across=0.0)
@@ -110,6 +103,9 @@ class Simulation:
             if self.supervisor.done:
                 break
         episode.replans = self.supervisor.replans
+        episode.forecasts = [
+            (took, time.mean, time.quantile(0.05), time.quantile(0.95)) for took, time in self.supervisor.forecasts
+        ]
         episode.given_up = tuple(self.supervisor.sequence.given_up)
 
     def _step(self, now: float) -> Command:
@@ -156,7 +152,7 @@ class Simulation:
             distance = min(distance, found.distance)
             if found.margin < margin:
                 margin, required = found.margin, found.required
-            if isinstance(person, MindfulPerson):
+            if isinstance(person, ReactivePerson):
                 person.mind(LinkCapsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
         decision = command.decision
         self.episode.ticks.append(

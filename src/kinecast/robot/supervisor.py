@@ -2,9 +2,9 @@
 
     NONE → REACH → DESCEND → CLOSE → LIFT → CARRY → LOWER → OPEN → RISE → NONE      one cube (kinecast.robot.errand)
 
-Predictions change the way (GO_AROUND) or the cube (TAKE_ANOTHER, CHANGE_CUBE) and hold the arm back early, so that it
-can stop before it is where a person may be. Above that, speed and separation monitoring looks at measured positions
-alone (kinecast.robot.pace).
+Predictions change the way (GO_AROUND) or the cube (TAKE_ANOTHER, CHANGE_CUBE) where the expected time says so
+(kinecast.robot.choice). Above that, speed and separation monitoring looks at measured positions alone
+(kinecast.robot.pace).
 """
 
 from __future__ import annotations
@@ -18,13 +18,15 @@ from jaxtyping import Float
 
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
+from kinecast.robot.choice import Choice, ChoiceOptions, Option, Request
 from kinecast.robot.conduct import Conduct
 from kinecast.robot.errand import Places, Step, straight
 from kinecast.robot.execution import Executor
-from kinecast.robot.occupancy import Occupancy, OccupancyOptions
+from kinecast.robot.expected_time import STEP, TravelTime
+from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.outlook import Outlook
 from kinecast.robot.pace import Pace, PaceOptions, Restraint, allowed_pace
-from kinecast.robot.planning_desk import Answer, Desk, Request
+from kinecast.robot.planning_desk import Desk
 from kinecast.robot.separation import Separation
 from kinecast.robot.task_sequence import SequenceOptions, TaskSequence
 from kinecast.robot.trajectory import Trajectory
@@ -38,6 +40,13 @@ log = logging.getLogger(__name__)
 
 HELD = 0.1
 """Share of the planned speed below which it does not get anywhere."""
+NEAR_ENOUGH = 0.05
+"""A path is followed from where the arm stands if it begins no farther away than this [rad]."""
+AFTER_EVADING = {
+    Step.REACH: Step.REACH, Step.DESCEND: Step.REACH, Step.LIFT: Step.CARRY, Step.CARRY: Step.CARRY,
+    Step.LOWER: Step.CARRY,
+}  # fmt: skip
+"""What a step that was held becomes."""
 AFTER_PLACING = {Step.OPEN, Step.RISE}
 
 
@@ -46,34 +55,28 @@ class SupervisorOptions:
     """How the foreman decides.
 
     Attributes:
-        around: probability of overlap from which another path is sought.
-        better: a path is changed only for one whose probability is lower by this.
-        again: between two searches for another path [s].
+        again: between two looks for something better [s].
         retry: after a search that failed [s].
         attempts: so often a place is tried that cannot be reached.
         touch: a limb that comes this near to a cube's middle may take it [m].
         evade: held back for this long by somebody who comes to where it stands, the arm draws back [s].
-        vertical: greatest speed of the straight ways down and up [m/s].
-        dwell: time the gripper takes [s].
         settle: going faster, or another cause of going slowly, is a new state only after so long [s].
         rise: how fast the speed may rise again [1/s].
-        pace, occupancy, sequence: see there.
+        pace, occupancy, sequence, choice: see there.
     """
 
-    around: float = 0.15
-    better: float = 0.1
     again: float = 0.3
     retry: float = 0.5
     attempts: int = 3
     touch: float = 0.06
-    evade: float = 0.3
-    vertical: float = 0.5
-    dwell: float = 0.25
+    evade: float = 2.0
     settle: float = 0.15
     rise: float = 3.0
+    usual_speed: float = 1.57
     pace: PaceOptions = field(default_factory=PaceOptions)
     occupancy: OccupancyOptions = field(default_factory=OccupancyOptions)
     sequence: SequenceOptions = field(default_factory=SequenceOptions)
+    choice: ChoiceOptions = field(default_factory=ChoiceOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +117,19 @@ class Supervisor:
         self.step = Step.NONE
         self.target: str | None = None
         self.replans = 0
+        self.forecasts: list[tuple[float, TravelTime]] = []
+        """How long each way to the end of a grasp or a placing took [s], and how long it was to take when begun."""
         self._places = Places(arm, cell)
         self._trajectory: Trajectory | None = None  # None: the arm is to stand
-        self._goals = np.empty((0, 6))
-        self._around_people = True  # whether the path keeps clear of people, or they left none that does
+        self._choice: Choice | None = None  # behind the path
+        self._purpose = Step.NONE  # of the path
+        self._foretold: tuple[float, TravelTime] | None = None  # when its time was foretold, if it is being kept
+        self._next: Choice | None = None  # to be followed as soon as the arm stands
         self._then = Step.NONE  # after a rest that is a retreat
         self._closed, self._since = False, 0.0
         self._asked = self._not_before = -np.inf
-        self._failures, self._trouble, self._overlap = 0, "", 0.0
+        self._failures, self._trouble = 0, ""
+        self._alarmed = False  # whether the person was about to take its cube when last looked
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
         self._pace = Pace(0.0, Restraint.SILENCE, Separation(), 1.0)
@@ -180,39 +188,29 @@ class Supervisor:
         held = self._closed or self.step in AFTER_PLACING
         names = [name for name in self.sequence.remaining if not (held and name == self.target)]
         self.sequence.update(now, self.outlook.taken(names, now))
-        self._overlap = self.outlook.overlap(self.ahead, now)
-        if self.step in (Step.REACH, Step.DESCEND) and self.target and self.sequence.is_taken(self.target):
-            self._leave(now)
-        elif self._trajectory is not None and self.step.planned and self.desk.pending is None:
-            blocked = self._overlap >= self.options.around
-            hopeful = not self._around_people and self._pace.predicted < 1.0 and bool(self.outlook.trusted(now))
-            if (blocked or hopeful) and now - self._asked >= self.options.again:
-                self._ask("around", now)
+        taken = self.target is not None and self.sequence.is_taken(self.target)
+        alarmed, self._alarmed = taken and not self._alarmed, taken
+        rested = now - self._asked >= self.options.again
+        under_way = self._trajectory is not None and self.step in (Step.REACH, Step.CARRY) and not self.busy
+        if under_way and self.outlook.predictions and (rested or (alarmed and self.step is Step.REACH)):
+            self._ask("better", now)
 
-    def _leave(self, now: float) -> None:
-        """The cube it is after is the person's: to another, or back."""
-        if self.step is Step.DESCEND:
-            if self._go_straight(self.cell.hover, Step.BACK_UP, now):
-                self._reaction = Reaction.CHANGE_CUBE
-            return
-        other = self.sequence.next()
-        if other is None:
-            self._stand(Step.NONE)
-            self.target = None
-        else:
-            self._reach(other, now, Reaction.CHANGE_CUBE)
+    @property
+    def busy(self) -> bool:
+        """Whether an answer is waited for, or followed as soon as the arm stands."""
+        return self.desk.pending is not None or self._next is not None
 
     def _evade(self, now: float) -> None:
-        """Draws back when it is held where somebody comes."""
+        """Draws back where it is held for long, and takes its step up again from there."""
         held = self._pace.speed < HELD and self._pace.restraint in (Restraint.PREDICTION, Restraint.SEPARATION)
-        if not (held and self.step in (Step.REACH, Step.CARRY)):
+        if not held or self.step not in AFTER_EVADING:
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now
         elif now - self._held_since >= self.options.evade and self._trajectory is not None:
-            self._held_since = None
-            self._then = self.step
-            self._travel(Step.REST, self._places.rest(self.executor.q), now)
+            self._held_since, self._foretold = None, None
+            self._then = AFTER_EVADING[self.step]
+            self._travel(Step.REST, now)
 
     # Steps
 
@@ -220,26 +218,30 @@ class Supervisor:
         """The next step where one has ended."""
         step, o = self.step, self.options
         arrived = self._trajectory is not None and self.executor.done
-        if step is Step.NONE or (step is Step.REST and self._then is Step.NONE and self.sequence.next() is not None):
+        if arrived and self._purpose is not step:  # the end of a way that was given up
+            arrived, self._trajectory = False, None
+        if step is Step.NONE or (step is Step.REST and self._then is Step.NONE and self.sequence.remaining):
             self._choose(now)
         elif step in (Step.CLOSE, Step.OPEN):
-            if now - self._since >= o.dwell:
+            if now - self._since >= o.choice.dwell:
                 self._go_straight(self.cell.hover, Step.LIFT if step is Step.CLOSE else Step.RISE, now)
         elif self._trajectory is None:
-            if self.desk.pending is None and now >= self._not_before:
-                self._ask("people" if self._around_people else "no people", now)
+            if not self.busy and now >= self._not_before:
+                self._ask("path", now)
         elif arrived and step is Step.REACH:
             self._go_straight(0.0, Step.DESCEND, now)
         elif arrived and step is Step.DESCEND:
             self._grip(True, Step.CLOSE, now)
         elif arrived and step is Step.LIFT:
-            self._carry(now)
+            self._arrived_as_foretold(now)
+            self._travel(Step.CARRY, now)
         elif arrived and step is Step.CARRY:
             self._go_straight(0.0, Step.LOWER, now)
         elif arrived and step is Step.LOWER:
             self._grip(False, Step.OPEN, now)
         elif arrived and step in (Step.RISE, Step.BACK_UP):
             if step is Step.RISE and self.target is not None:
+                self._arrived_as_foretold(now)
                 self.sequence.finish(self.target)
                 self.target = None
             self._stand(Step.NONE)
@@ -248,47 +250,37 @@ class Supervisor:
             self._stand(Step.REST)
             again, self._then = self._then, Step.NONE
             if again is Step.CARRY:
-                self._carry(now)
+                self._travel(Step.CARRY, now)
             elif again is Step.REACH:
                 self._stand(Step.NONE)
                 self._choose(now)
 
+    def _arrived_as_foretold(self, now: float) -> None:
+        """Notes how long it took, to be compared."""
+        if self._foretold is not None:
+            self.forecasts.append((now - self._foretold[0], self._foretold[1]))
+            self._foretold = None
+
     def _choose(self, now: float) -> None:
         """The next cube; to rest where there is none."""
-        name = self.sequence.next()
-        if name is not None:
-            first = name == self.sequence.remaining[0]
-            changed = self.target is not None and name != self.target
-            self._reach(name, now, None if first else Reaction.CHANGE_CUBE if changed else Reaction.TAKE_ANOTHER)
+        if self.sequence.remaining:
+            self._travel(Step.REACH, now)
             return
         self.target = None
         rest = self._places.rest(self.executor.q)
         if len(rest) and self.step is not Step.REST and np.abs(rest - self.executor.q).max(axis=1).min() > 0.05:
             self._then = Step.NONE
-            self._travel(Step.REST, rest, now)
+            self._travel(Step.REST, now)
         else:
             self.step = Step.REST
 
-    def _reach(self, name: str, now: float, reaction: Reaction | None) -> None:
-        """Sets out for a cube."""
-        if reaction is not None and name != self.target:
-            self._reaction = reaction
-            self.replans += 1
-        self.target = name
-        self._travel(Step.REACH, self._places.above(self.cell.cube(name).position, self.executor.q), now)
-
-    def _carry(self, now: float) -> None:
-        """Sets out for the place of the cube it holds."""
-        assert self.target is not None
-        self._travel(Step.CARRY, self._places.above(self.cell.cube(self.target).place, self.executor.q), now)
-
-    def _travel(self, step: Step, goals: Float[np.ndarray, "G 6"], now: float) -> None:
-        """Sets out for configurations; keeps to the path it is on until there is one."""
-        self.step, self._goals = step, goals
-        self._failures, self._trouble, self._around_people = 0, "", True
+    def _travel(self, step: Step, now: float) -> None:
+        """Sets out; keeps to the path it is on until there is another."""
+        self.step = step
+        self._failures, self._trouble = 0, ""
         if self._trajectory is not None and self.executor.done:
             self._trajectory = None
-        self._ask("people", now)
+        self._ask("path", now)
 
     def _go_straight(self, above: float, step: Step, now: float) -> bool:
         """Down to a cube or its place, or up again; stays where the arm cannot."""
@@ -296,7 +288,7 @@ class Supervisor:
         cube = self.cell.cube(self.target)
         placing = step in (Step.LOWER, Step.RISE)
         to = self.cell.grasp(cube.place if placing else cube.position, above)[:3, 3]
-        way = straight(self.arm, self.executor.q, to, self.options.vertical, now)
+        way = straight(self.arm, self.executor.q, to, self.options.choice.vertical, now)
         if way is None:
             self._trouble = f"There is no straight way for {step.value}."
             return False
@@ -309,67 +301,108 @@ class Supervisor:
         self._trajectory = None
 
     def _stand(self, step: Step) -> None:
-        self.step, self._trajectory = step, None
+        self.step, self._trajectory, self._next = step, None, None
 
     def _follow(self, trajectory: Trajectory) -> None:
-        self._trajectory = trajectory
+        self._trajectory, self._purpose, self._next = trajectory, self.step, None
         self._conduct.begin(at_rest=not self.executor.qd.any())
         self.executor.follow(trajectory)
 
     # Plans
 
     def _ask(self, why: str, now: float) -> None:
-        """Asks for a path from where the arm will be when it can be had."""
-        if len(self._goals) == 0:
+        """Asks for the best way from where the arm will stand if it brakes when the answer is there.
+
+        Args:
+            why: `better`: than what it does; `another` cube; or a `path` for the step it is in.
+            now: [s].
+        """
+        options = self._options()
+        if not any(len(option.goals) for option in options):
             self._no_way("out of reach", now)
             return
         self._asked = now
-        # From where it comes to rest if it brakes now, as it does: from there every way is open.
-        q, seconds = self.executor.stopping()
+        q, seconds = self.executor.stopping(self.desk.latency)
         start_time = now + max(self.desk.latency, seconds)
-        people = self.outlook.to_plan_around()
-        if why == "people" and self.outlook.within(q, people, start_time):
-            why, self._around_people = "no people", False  # no way begins there: not worth asking
-        people = Occupancy.empty(now) if why == "no people" else people
-        self.desk.ask(Request(why, q, self._goals, people, start_time), now)
+        present = self._present() if why == "better" else None
+        motions = None if self.step is Step.REST else self.outlook.motions(now)
+        self.desk.ask(Request(options, q, start_time, start_time - now, motions, present, why), now)
+
+    def _options(self) -> tuple[Option, ...]:
+        """What may be done in this step, what it does now first."""
+        q, speed = self.executor.q, self.options.usual_speed
+        if self.step is Step.REST:
+            return (Option(Step.REST, self.target, self._places.rest(q), None),)
+        if self.step is Step.CARRY:
+            assert self.target is not None
+            place = self.cell.cube(self.target).place
+            return (Option(Step.CARRY, self.target, self._places.above(place, q), place),)
+        names, options = self.sequence.remaining, []
+        for name in sorted(names, key=lambda name: name != self.target):
+            place = self.cell.cube(name).position
+            price = 0.0 if name == names[0] else self.options.choice.order
+            price += self.options.choice.taken if self.sequence.is_taken(name) else 0.0
+            usual = self._places.usual(place, speed)
+            options.append(Option(Step.REACH, name, self._places.above(place, q), place, usual, price))
+        return tuple(options)
+
+    def _present(self) -> Float[np.ndarray, "W 6"] | None:
+        """Configurations `STEP` apart in which it goes on as it does, to the end of what it is about to do [rad]."""
+        if self._choice is None or self._trajectory is None:
+            return None
+        rows = self._choice.rows
+        passed = max(self._trajectory.duration - self.executor.remaining, 0.0) / STEP
+        places = np.append(np.arange(passed, len(rows) - 1), len(rows) - 1)
+        return np.stack([np.interp(places, np.arange(len(rows)), column) for column in rows.T], axis=1)
 
     def _take_answer(self, now: float) -> None:
+        if self._next is not None and self.executor.at_rest:
+            choice, self._next = self._next, None
+            assert choice.plan is not None  # as it was looked at before it was kept
+            if np.abs(self.executor.q - choice.plan.trajectory.q[0]).max() < NEAR_ENOUGH:
+                self._adopt(choice, now)
+            else:  # it was held on the way and came to rest elsewhere
+                self._stand(self.step)
+                self._ask("path", now)
         answer = self.desk.answer(now)
-        if answer is None:
-            pass
-        elif answer.plan is not None:
-            self._adopt(answer, answer.plan.trajectory, now)
-        elif answer.request.what == "around":
-            self._asked = now + self.options.retry  # none around: it goes on, as slowly as it must
+        if answer is None or (answer.choice is not None and answer.choice.option.step is not self.step):
+            pass  # or it comes too late: the step is another
+        elif answer.choice is not None:
+            self._failures, self._trouble = 0, ""
+            if answer.choice.plan is not None and self.executor.at_rest:
+                self._adopt(answer.choice, now)
+            elif answer.choice.plan is not None:
+                self._next = answer.choice
+        elif answer.request.why == "better":
+            self._asked = now + self.options.retry
         elif answer.crashed:
             self._trouble, self._not_before = f"No path: {answer.reason}.", now + self.options.retry
-        elif answer.request.what == "people":
-            self._around_people = False
-            self._ask("no people", now)
         else:
             self._no_way(answer.reason, now)
 
-    def _adopt(self, answer: Answer, trajectory: Trajectory, now: float) -> None:
-        """Follows a new path, unless it is another way to the same place and no better."""
-        self._failures, self._trouble = 0, ""
-        if answer.request.what == "around":
-            chance = self.outlook.overlap(lambda seconds: trajectory.at(now + seconds)[0], now)
-            if chance > self._overlap - self.options.better and self._around_people:
-                return
+    def _adopt(self, choice: Choice, now: float) -> None:
+        """Follows a new path."""
+        assert choice.plan is not None
+        option, under_way = choice.option, self._trajectory is not None
+        if option.step is Step.REACH and option.target != self.target:
+            if self.target is not None or option.target != self.sequence.remaining[0]:
+                self._reaction = Reaction.TAKE_ANOTHER if self.target is None else Reaction.CHANGE_CUBE
+                self.replans += 1
+            self.target = option.target
+        if under_way and self._reaction is None and option.step is self.step and option.step is not Step.REST:
             self._reaction = Reaction.GO_AROUND
             self.replans += 1
-        self._around_people = answer.request.what != "no people"
-        self._follow(trajectory)
-        self._overlap = self.outlook.overlap(self.ahead, now)
+        self._choice, self._foretold = choice, (now - choice.wait, choice.time)
+        self._follow(choice.plan.trajectory)
 
     def _no_way(self, reason: str, now: float) -> None:
         """Nobody is in the way, and still there is no path: tries again, then gives the cube up."""
         self._failures += 1
         self._trouble, self._not_before = f"No path: {reason}.", now + self.options.retry
-        self._around_people = True
-        if self._failures >= self.options.attempts or len(self._goals) == 0:
-            if self.step is Step.REACH and self.target is not None:
-                self.sequence.give_up(self.target)
+        if self._failures >= self.options.attempts:
+            if self.step is Step.REACH:
+                for name in tuple(self.sequence.remaining):
+                    self.sequence.give_up(name)
                 self.target = None
             if self.step in (Step.REACH, Step.REST):
                 self._stand(Step.NONE if self.step is Step.REACH else Step.REST)
@@ -379,7 +412,7 @@ class Supervisor:
     def _decide(self, now: float) -> Decision:
         """State, speed and reason from all of the above."""
         has_path, conduct = self._trajectory is not None, self._conduct
-        searching = has_path and self.desk.pending is not None
+        searching = has_path and self._next is not None
         conduct.update(self._pace, self._pace.speed if has_path and not searching else 0.0, now)
         finished = not self.sequence.remaining and self.step is Step.REST and not has_path
         state = state_of(self.step, finished, has_path, searching, conduct)
@@ -393,7 +426,6 @@ class Supervisor:
             speed=conduct.speed,
             distance=self._pace.separation.distance,
             separation=self._pace.separation.required,
-            overlap=self._overlap,
             taken=dict(self.sequence.probabilities),
             basis=self.outlook.basis,
         )

@@ -70,10 +70,6 @@ class TaskSequence:
         """Whether the cube is the person's for now."""
         return self._taken[name]
 
-    def next(self) -> str | None:
-        """The first cube in order that is nobody's; None where there is none."""
-        return next((name for name in self.remaining if not self._taken[name]), None)
-
     def finish(self, name: str) -> None:
         """The cube is in its place."""
         self.remaining.remove(name)

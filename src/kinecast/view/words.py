@@ -31,7 +31,6 @@ def state_html(decision: Decision, stamp: float) -> str:
 def figures_html(decision: Decision, cell: Cell) -> str:
     """Probability of every cube, and what the arm goes by."""
     rows = [_bar(_chip(name), decision.taken.get(name, 0.0), hex_of(cube_colour(name))) for name in cell.order]
-    overlap = _bar("on its path", decision.overlap, "#e08a00")
     speed = _bar("speed", decision.speed, "#6b7784")
     near = "nobody near" if not np.isfinite(decision.distance) else f"{decision.distance:.2f} m"
     asked = f"stops below {decision.separation:.2f} m" if np.isfinite(decision.separation) else ""
@@ -39,7 +38,7 @@ def figures_html(decision: Decision, cell: Cell) -> str:
         f'<div style="display:flex;justify-content:space-between"><span>distance</span>'
         f'<span>{near} <span style="color:{hex_of(MUTED)}">{asked}</span></span></div>'
     )
-    person = _head("The person takes, with probability") + "".join(rows) + overlap
+    person = _head("The person takes, with probability") + "".join(rows)
     return f'<div id="figures" style="{FRAME}">{person}{_head("The arm")}{speed}{distance}</div>'
 
 

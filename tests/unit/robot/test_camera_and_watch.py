@@ -8,7 +8,7 @@ import pytest
 from kinecast.errors import OptionError
 from kinecast.robot.body import body_capsules
 from kinecast.robot.camera import Camera, CameraOptions, Shot
-from kinecast.robot.person import MindfulPerson, PlayedPerson
+from kinecast.robot.person import ReactivePerson, PlayedPerson
 from kinecast.robot.ur5 import LinkCapsules
 from kinecast.robot.watch import Watch
 from kinecast.types import SkeletonFrame
@@ -55,7 +55,7 @@ def test_a_person_is_placed_by_a_transform() -> None:
 
 
 def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:
-    person = MindfulPerson(mover(), patience=9.0)
+    person = ReactivePerson(mover(), patience=9.0)
     there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
     gone = LinkCapsules(there.start + 9.0, there.end + 9.0, there.radius)
     for k in range(500):
@@ -69,7 +69,7 @@ def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() ->
 
 
 def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again() -> None:
-    person = MindfulPerson(mover(), patience=1.0)
+    person = ReactivePerson(mover(), patience=1.0)
     there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
     for k in range(1000):
         person.mind(there, 0.008 * k)

@@ -12,7 +12,7 @@ from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import Forecasters, generated_person, simulate_scenario
 from kinecast.robot.outcome import outcome_of
-from kinecast.robot.person import MindfulPerson, PlayedPerson
+from kinecast.robot.person import ReactivePerson, PlayedPerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState
 
@@ -55,8 +55,8 @@ def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped
     cell = Cell(cubes=Cell().cubes[:1])
     whole = generated_person(5, Cell())
     people = [
-        MindfulPerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, np.eye(4), (0.0, 5.5))),
-        MindfulPerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, np.eye(4), (7.0, 60.0))),
+        ReactivePerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, np.eye(4), (0.0, 5.5))),
+        ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, np.eye(4), (7.0, 60.0))),
     ]
     camera = Camera(CameraOptions(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2))
     simulation = Simulation(people, forecasters.make("kinecast", people), camera, cell, limit=40.0, dt=0.02)

@@ -1,0 +1,210 @@
+"""What to do next, by expected time: every cube that is left and every way there, each timed beside what people may do.
+
+A way to a cube is timed to the end of the grasp, and a way to a cube's place to the end of putting it down: it is there
+that the arm is nearest to people and waits longest. Cubes are compared by what the people cost, which is the expected
+time less the time that the cube takes from rest with nobody there: all of them are to be moved in the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.errors import OptionError
+from kinecast.robot.cell import Cell
+from kinecast.robot.errand import Step, straight
+from kinecast.robot.expected_time import STEP, TravelTime, travel_time
+from kinecast.robot.motions import Motions, likely
+from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.planner import NoPlan, Plan, Planner
+from kinecast.robot.trajectory import Trajectory
+from kinecast.robot.ur5 import UR5
+
+__all__ = ["Choice", "ChoiceOptions", "Chooser", "Option", "Request", "grasp_rows"]
+
+
+@dataclass(frozen=True)
+class ChoiceOptions:
+    """How ways are compared.
+
+    Attributes:
+        risk: price of what the slowest tenth takes longer than the mean [s/s].
+        worth: a loss below this is not worth another plan [s].
+        gain: another way, or another cube, must be sooner by this [s]: predictions flicker.
+        change: … and another cube by so much more [s].
+        order: price of a cube that is not the next in order [s].
+        taken: price of a cube that the person is about to take, or has [s].
+        vertical: greatest speed of the straight ways down and up [m/s].
+        dwell: time the gripper takes [s].
+        delay: age of what monitoring knows of the people [s].
+    """
+
+    risk: float = 0.2
+    worth: float = 0.3
+    gain: float = 0.8
+    change: float = 0.4
+    order: float = 0.3
+    taken: float = 1.0
+    vertical: float = 0.5
+    dwell: float = 0.25
+    delay: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < 10:
+                raise OptionError(f"{name} {value} is outside 0..10")
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """Something to do.
+
+    Attributes:
+        step: what the way is for.
+        target: the cube; None to rest.
+        goals: (G, 6) where the way may end [rad].
+        point: (3,) where the gripper then goes down to [m]; None at rest.
+        usual: what it takes with nobody there [s].
+        price: of doing this rather than another [s].
+    """
+
+    step: Step
+    target: str | None
+    goals: Float[np.ndarray, "G 6"]
+    point: Float[np.ndarray, "3"] | None
+    usual: float = 0.0
+    price: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A choice wanted.
+
+    Attributes:
+        options: to choose from, the preferred first.
+        q: (6,) where the arm will stand when it begins [rad].
+        start_time: when [s].
+        wait: from now until then [s].
+        motions: of the people from now on; None: nobody is there, or nothing is known of what they will do.
+        present: the first of the options, and (W, 6) configurations `STEP` apart in which the arm goes on with it if
+            nothing is changed [rad]; None where it must change, or stands.
+        why: in words, to tell answers apart.
+    """
+
+    options: tuple[Option, ...]
+    q: Float[np.ndarray, "6"]
+    start_time: float
+    wait: float = 0.0
+    motions: Motions | None = None
+    present: Float[np.ndarray, "W 6"] | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What is best.
+
+    Attributes:
+        option: chosen.
+        plan: the way; None: as before.
+        time: from now to the option's end.
+        rows: (W, 6) configurations `STEP` apart to the option's end [rad].
+        wait: until the plan is taken up, of the time; planning itself, mostly [s].
+    """
+
+    option: Option
+    plan: Plan | None
+    time: TravelTime
+    rows: Float[np.ndarray, "W 6"]
+    wait: float = 0.0
+
+
+class Chooser:
+    """Compares.
+
+    Args:
+        planner: of the ways.
+        cell: with the cubes, and the constants of monitoring.
+        options: see ChoiceOptions.
+    """
+
+    def __init__(self, planner: Planner, cell: Cell, options: ChoiceOptions | None = None) -> None:
+        self.planner, self.cell, self.separation = planner, cell, cell.separation
+        self.options = options or ChoiceOptions()
+
+    def choose(self, request: Request) -> Choice | NoPlan:
+        """The option and the way that are done soonest, for what they are; or why there is none."""
+        o, best, least = self.options, None, np.inf
+        if request.present is not None:
+            time = self._time(request.present, request, 0.0)
+            if time.priced(o.risk) - time.nominal < o.worth:
+                return Choice(request.options[0], None, time, request.present)
+            best = Choice(request.options[0], None, time, request.present)
+            least = self._cost(best) - o.gain
+        reason = "out of reach"
+        straight_ways = []
+        for option in request.options:
+            plan = self.planner.plan(
+                request.q, option.goals, Occupancy.empty(request.start_time), request.start_time, budget=np.inf
+            )
+            if isinstance(plan, NoPlan):
+                reason = plan.reason
+            else:
+                straight_ways.append(self._timed(option, plan, request))
+        straight_ways.sort(key=self._cost)
+        for choice in (*straight_ways, *self._bent(straight_ways, request)):
+            cost = self._cost(choice)
+            if request.present is not None and choice.option is not request.options[0]:
+                cost += o.change
+            if cost < least:
+                best, least = choice, cost
+        return NoPlan(reason) if best is None else best
+
+    def _timed(self, option: Option, plan: Plan, request: Request) -> Choice:
+        rows = grasp_rows(self.planner.arm, self.cell, plan.trajectory, option, self.options)
+        return Choice(option, plan, self._time(rows, request, request.wait), rows, request.wait)
+
+    def _cost(self, choice: Choice) -> float:
+        """What it costs more than with nobody there [s]."""
+        return choice.time.priced(self.options.risk) - choice.option.usual + choice.option.price
+
+    def _time(self, rows: Float[np.ndarray, "W 6"], request: Request, wait: float) -> TravelTime:
+        return travel_time(self.planner.arm, rows, request.motions, self.separation, wait, self.options.delay)
+
+    def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
+        """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
+        if not ways or request.motions is None or ways[0].time.mean - ways[0].time.nominal < self.options.worth:
+            return
+        best, people = ways[0], likely(request.motions, request.start_time - request.wait)
+        assert best.plan is not None
+        for plan in self.planner.bent(
+            best.plan, request.q, best.option.goals, people, request.start_time, self.separation
+        ):
+            bent = self._timed(best.option, plan, request)
+            if bent.time.priced(self.options.risk) < best.time.priced(self.options.risk) - self.options.worth:
+                yield bent
+
+
+def grasp_rows(
+    arm: UR5, cell: Cell, trajectory: Trajectory, option: Option, options: ChoiceOptions
+) -> Float[np.ndarray, "W 6"]:
+    """(W, 6) a way, the way down from its end, the gripper's time, and the way up again: `STEP` apart [rad]."""
+    rows = _sampled(trajectory)
+    if option.point is None:
+        return rows
+    to = cell.grasp(option.point)[:3, 3]
+    down = straight(arm, rows[-1], to, options.vertical, 0.0)
+    if down is None:
+        return rows
+    below = _sampled(down)[1:]
+    still = np.repeat(below[-1:], round(options.dwell / STEP), axis=0)
+    return np.concatenate([rows, below, still, below[::-1], rows[-1:]])
+
+
+def _sampled(trajectory: Trajectory) -> Float[np.ndarray, "W 6"]:
+    """Configurations `STEP` apart, the last at its end or a little after [rad]."""
+    count = int(np.ceil(trajectory.duration / STEP - 1e-6))
+    return trajectory.at(trajectory.times[0] + STEP * np.arange(count + 1))[0]

@@ -1,0 +1,210 @@
+"""What people may do in the next seconds: predicted motions, gone on with as the same person went on before.
+
+A prediction ends after half a second or a second; a path takes three. After it each sample goes on as the person did
+in the last minute when they were in nearly the same posture, moving alike: who holds a hand over the table draws it
+back after as long as they did before, who rests begins as often. Nothing is trained for it, so it holds for anybody.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from kinecast.robot.occupancy import Occupancy, OccupancyOptions
+from kinecast.robot.regions import STARTS, STOPS, regions
+from kinecast.types import Prediction
+
+__all__ = ["STEP", "Motions", "PoseHistory", "motions_of"]
+
+STEP = 0.1
+"""Between two instants of a motion [s]."""
+AHEAD = 6.0
+"""Motions are carried on so far [s]."""
+SAMPLES = 40
+"""Motions looked at."""
+KEPT = 600
+"""Postures kept of a person: a minute."""
+ENOUGH = 20
+"""Postures from which on the past says something."""
+LEAST = 3
+"""Postures from which on the usual one is known."""
+RETURN = 1.0
+"""Who does what they never did returns to their usual posture in this time [s]."""
+ALIKE = 6
+"""Moments of the past between which is drawn."""
+LOOKBACK = 0.3
+"""A difference in speed counts as the difference in place that it makes in so long [s]."""
+FADE = 0.5
+"""The difference between now and then fades in this time [s]."""
+NEW = 0.3
+"""Root mean square difference of joints [m] from which on nothing in the past is alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """S possible motions of everybody's K capsules at N instants, `STEP` apart, from now on.
+
+    Attributes:
+        arms: (S, N, P, 6, 3) the arms of P persons [m].
+        start, end: (S, N, K, 3) of the capsules [m].
+        radius: (K,) [m].
+        lengths: of hand, trunk and neck [m].
+    """
+
+    arms: Float[np.ndarray, "S N P 6 3"]
+    start: Float[np.ndarray, "S N K 3"]
+    end: Float[np.ndarray, "S N K 3"]
+    radius: Float[np.ndarray, " K"]
+    lengths: tuple[float, float, float]
+
+
+class PoseHistory:
+    """What one person did in the last minute, ten postures a second."""
+
+    def __init__(self) -> None:
+        self._stamps: deque[float] = deque(maxlen=KEPT)
+        self._poses: deque[Float[np.ndarray, "6 3"]] = deque(maxlen=KEPT)
+
+    def add(self, stamp: float, arms: Float[np.ndarray, "6 3"]) -> None:
+        """Keeps a posture, unless a joint is not seen or the last is too recent; a gap begins a new past."""
+        if not np.isfinite(arms).all() or (self._stamps and stamp < self._stamps[-1] + 0.9 * STEP):
+            return
+        if self._stamps and stamp > self._stamps[-1] + 10 * STEP:
+            self._stamps.clear()
+            self._poses.clear()
+        self._stamps.append(stamp)
+        self._poses.append(arms)
+
+    def carry_on(
+        self,
+        pose: Float[np.ndarray, "S 6 3"],
+        velocity: Float[np.ndarray, "S 6 3"],
+        count: int,
+        rng: np.random.Generator,
+    ) -> Float[np.ndarray, "S count 6 3"]:
+        """How motions that are at a pose [m], moving so fast [m/s], may go on: the next `count` instants.
+
+        Where the past shows nothing like it they return to their usual posture; without a past they stand still.
+        """
+        if len(self._poses) < LEAST:
+            return np.repeat(pose[:, None], count, axis=1)
+        past = np.array(self._poses)
+        speed = np.gradient(past, STEP, axis=0)
+        known = np.concatenate([past, LOOKBACK * speed], axis=1).reshape(len(past), -1)
+        out = np.empty((len(pose), count, 6, 3))
+        usual = np.median(past, axis=0)
+        moment, strange = _alike(known, pose, velocity, rng)
+        offset = pose - past[moment]
+        offset[strange] = 0.0
+        now = pose.copy()
+        for n in range(count):
+            moment = moment + 1
+            ended = (moment >= len(past)) & ~strange
+            if ended.any():
+                previous = past[np.minimum(moment - 2, len(past) - 1)]
+                moment[ended], lost = _alike(known, now[ended], ((past[-1] - previous) / STEP)[ended], rng)
+                strange[ended] |= lost
+                offset[ended] = now[ended] - past[moment[ended]]
+            offset *= 1.0 - STEP / FADE
+            gone_on = past[np.minimum(moment, len(past) - 1)] + offset
+            now = np.where(strange[:, None, None], now + STEP / RETURN * (usual - now), gone_on)
+            out[:, n] = now
+        return out
+
+
+def _alike(
+    known: Float[np.ndarray, "M 36"],
+    pose: Float[np.ndarray, "S 6 3"],
+    velocity: Float[np.ndarray, "S 6 3"],
+    rng: np.random.Generator,
+) -> tuple[Int[np.ndarray, " S"], np.ndarray]:
+    """A moment of the past like each of S, one of the nearest by lot; and whether none is like it."""
+    wanted = np.concatenate([pose, LOOKBACK * velocity], axis=1).reshape(len(pose), -1)
+    if len(known) < ENOUGH:
+        return np.zeros(len(pose), dtype=np.int64), np.ones(len(pose), dtype=np.bool_)
+    usable = known[: -ENOUGH // 2]
+    square = (wanted**2).sum(axis=1)[:, None] + (usable**2).sum(axis=1) - 2.0 * wanted @ usable.T
+    nearest = np.argpartition(square, min(ALIKE, len(usable) - 1), axis=1)[:, :ALIKE]
+    moment = np.take_along_axis(nearest, rng.integers(nearest.shape[1], size=(len(pose), 1)), axis=1)[:, 0]
+    return moment, square[np.arange(len(pose)), moment] > 6 * NEW**2
+
+
+def motions_of(
+    predictions: Sequence[Prediction],
+    histories: Sequence[PoseHistory],
+    now: float,
+    options: OccupancyOptions,
+    seed: int,
+) -> Motions:
+    """Possible motions of several people from now on, one prediction and one past each.
+
+    Args:
+        predictions: to be trusted.
+        histories: of the same people.
+        now: [s].
+        options: thickness of the limbs.
+        seed: of the lots.
+    """
+    rng = np.random.default_rng(seed)
+    arms = np.stack(
+        [_arms(prediction, history, now, rng) for prediction, history in zip(predictions, histories, strict=True)],
+        axis=2,
+    )
+    wrist, elbow = arms[..., [2, 5], :], arms[..., [1, 4], :]
+    along = wrist - elbow
+    length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-6)
+    middle = 0.5 * (arms[..., 0:1, :] + arms[..., 3:4, :])
+    up = np.array([0.0, 0.0, 1.0])
+    points = np.concatenate(
+        [
+            arms, wrist + options.hand_length * along / length, middle, middle - options.trunk_length * up,
+            middle + options.head_height * up,
+        ],
+        axis=-2,
+    )  # fmt: skip
+    whole = (*arms.shape[:2], -1, 3)
+    start, end = points[..., STARTS, :].reshape(whole), points[..., STOPS, :].reshape(whole)
+    return Motions(
+        arms,
+        np.ascontiguousarray(start),
+        np.ascontiguousarray(end),
+        np.tile(options.radii, len(predictions)),
+        (options.hand_length, options.trunk_length, options.head_height),
+    )
+
+
+def _arms(
+    prediction: Prediction, history: PoseHistory, now: float, rng: np.random.Generator
+) -> Float[np.ndarray, "S N 6 3"]:
+    """One person's arms from now on: as predicted to the horizon, then as they went on before."""
+    samples = prediction.samples[np.arange(SAMPLES) * len(prediction.samples) // SAMPLES]
+    instants = now + STEP * np.arange(round(AHEAD / STEP) + 1)
+    times = prediction.times
+    before = np.clip(np.searchsorted(times, instants, side="right") - 1, 0, max(len(times) - 2, 0))
+    first = instants <= times[-1] + 1e-9
+    after = np.minimum(before + 1, len(times) - 1)
+    span = np.maximum(times[after] - times[before], 1e-9)
+    share = np.clip((instants - times[before]) / span, 0.0, 1.0)[first, None, None]
+    predicted = (1.0 - share) * samples[:, before[first]] + share * samples[:, after[first]]
+    last = samples[:, -1]
+    velocity = (last - samples[:, max(len(times) - 4, 0)]) / max(times[-1] - times[max(len(times) - 4, 0)], 1e-9)
+    return np.concatenate([predicted, history.carry_on(last, velocity, int((~first).sum()), rng)], axis=1)
+
+
+def likely(motions: Motions, now: float, seconds: float = 4.0, level: float = 0.5) -> Occupancy:
+    """Capsules that hold each limb in a share of the motions, for so long [s]; the last stay."""
+    count = min(round(seconds / STEP) + 1, motions.start.shape[1])
+    rows = np.concatenate(
+        [
+            regions(np.ascontiguousarray(motions.arms[:, :count, person]), *motions.lengths, level)
+            for person in range(motions.arms.shape[2])
+        ],
+        axis=1,
+    )
+    start, end, spread = np.split(rows, [3, 6], axis=-1)
+    times = now + STEP * np.arange(count)
+    return Occupancy(now, times, start, end, spread[..., 0] + motions.radius, growth_limit=0.0)
