@@ -7,6 +7,7 @@ the box in the network's own ratio, RGB less ImageNet's mean, and for each keypo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +57,18 @@ class Keypoints:
         return self.confidence >= LEAST_CONFIDENCE
 
 
+def keypoint_std(
+    joints: Sequence[str], pixels: Float[np.ndarray, "J 2"], seen: Bool[np.ndarray, " J"]
+) -> Float[np.ndarray, " J"]:
+    """(J,) standard deviation of one coordinate of a person's keypoints [px]: COCO's σ times the root of their area.
+
+    0 where none is seen.
+    """
+    spread = np.array([_SPREAD.get(without_side(joint), _OTHERS) for joint in joints])
+    area = AREA * np.prod(np.ptp(pixels[seen], axis=0)) if seen.any() else 0.0
+    return spread * np.sqrt(area / 2)  # d² is of two coordinates
+
+
 class PoseEstimator:
     """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints, in an ONNX file, else a ModelError.
 
@@ -70,7 +83,6 @@ class PoseEstimator:
             raise ModelError(f"{path}: {count} keypoints; known are {known} (COCO, Halpe, COCO-WholeBody)")
         self._columns = [column for column, joint in enumerate(_NAMES[count]) if joint is not None]
         self.joints = tuple(joint for joint in _NAMES[count] if joint is not None)
-        self._spread = np.array([_SPREAD.get(without_side(joint), _OTHERS) for joint in self.joints])
 
     def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Keypoints:
         """The keypoints of whoever is in a box (left, top, right, bottom) [px] of an RGB image; or a ModelError."""
@@ -81,10 +93,8 @@ class PoseEstimator:
         outputs = self.model.run((self.model.window(image, corner, scale) - IMAGENET_MEAN) / IMAGENET_STD)
         places, confidence = self._peaks(outputs)
         pixels, confidence = corner + scale * places[self._columns], confidence[self._columns]
-        seen = pixels[confidence >= LEAST_CONFIDENCE]
-        area = AREA * np.prod(np.ptp(seen, axis=0)) if len(seen) else 0.0
-        std = np.maximum(self._spread * np.sqrt(area / 2), scale / 2)  # of one coordinate: d² is of two
-        return Keypoints(pixels, std, confidence)
+        std = keypoint_std(self.joints, pixels, confidence >= LEAST_CONFIDENCE)
+        return Keypoints(pixels, np.maximum(std, scale / 2), confidence)
 
     def _peaks(self, outputs: list[np.ndarray]) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, " K"]]:
         """Where each keypoint is in the crop [px], and the height of its peak, 0..1."""

@@ -4,33 +4,41 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import signal
+import sys
 import threading
+import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
-from kinecast.cli.options import ModelFile, OptionalFile, check_seed, read_predictor
+from kinecast.cli.options import ModelFile, OptionalFile, check_file, check_seed, read_predictor
 from kinecast.cli.progress import CONSOLE
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.predictor import Predictor, PredictorOptions
 
+if TYPE_CHECKING:
+    from kinecast.cameras.overlay import Watcher
+
 _ONCE_OR_MORE = "(once or more)"
 Texts = UseAppendAction[tuple[str, ...]]
 Sources = Annotated[Texts, arg(name="source", metavar="SOURCE", help_behavior_hint=_ONCE_OR_MORE)]
 Sinks = Annotated[Texts, arg(name="sink", metavar="SINK", help_behavior_hint=_ONCE_OR_MORE)]
+MovieFile = Annotated[Path | None, arg(metavar="FILE.mp4", help_behavior_hint="(default: none)")]
 RigFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: no fusion)")]
 
 
 def live(
     sources: Sources,
-    sinks: Sinks,
+    sinks: Sinks = (),
+    record: MovieFile = None,
     model: ModelFile = None,
     scene: OptionalFile = None,
     rig: RigFile = None,
@@ -43,10 +51,12 @@ def live(
     Args:
         sources: a recording's path, recording:PATH?speed=2&repeat=1 to play it faster or again, ws://HOST:PORT or
             udp://HOST:PORT to listen for skeletons (docs/live.md), xsens://HOST:9763?person=0 for Xsens MVN
-            (docs/mocap.md); without a HOST only this machine is heard. realsense:SERIAL?model=FILE is a camera
+            (docs/mocap.md); without a HOST only this machine is heard. camera:0 is a webcam, camera:FILE a video and
+            camera:FOLDER pictures; realsense:SERIAL?model=FILE is a camera with depth
             (docs/cameras.md); ros1:, ros2: or dds:/TOPIC?type=PoseArray and bag:PATH are ROS (docs/ros.md).
         sinks: view://HOST:PORT to see it in a browser, ws://HOST:PORT to send predictions to all who connect, mcap:FILE
-            for Foxglove, jsonl:FILE, ros1:, ros2: or dds:/NAMESPACE, bag:PATH.
+            for Foxglove, jsonl:FILE, ros1:, ros2: or dds:/NAMESPACE, bag:PATH. Without any, camera: opens view://.
+        record: a video of the camera's picture with what is predicted drawn in it.
         model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles and goals, a YAML file.
         rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
@@ -56,7 +66,7 @@ def live(
     """
     from kinecast.cameras.fused_source import FusedSource
     from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
-    from kinecast.cli.live_opening import open_sink, open_source, read_sink, read_source
+    from kinecast.cli.live_opening import TakesPictures, open_sink, open_source, picture_rate, read_sink, read_source
     from kinecast.live.loop import Live
     from kinecast.live.mailbox import Mailbox
     from kinecast.live.network import Network
@@ -67,12 +77,19 @@ def live(
     if not 0 < level < 1:
         raise OptionError(f"--level {level} is outside 0..1")
     inputs = [read_source(each) for each in _once("--source", sources)]
-    outputs = [read_sink(each) for each in _once("--sink", sinks)]
+    cameras_seen = [each for each in inputs if each.kind == "camera"]
+    alone = bool(cameras_seen) and not sinks and record is None
+    outputs = [read_sink(each) for each in _once("--sink", (*sinks, *(("view://",) if alone else ())), record is not None)]
+    if record is not None:
+        check_file(record, (".mp4",), "--record")
+        if len(cameras_seen) != 1:
+            raise OptionError(f"--record {record}: records one --source camera:, and there are {len(cameras_seen)}")
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
     first = read_predictor(model, obstacles, options)
     mailbox = Mailbox()
+    watchers: list[Watcher] = []
     opened_sources: list[Source] = []
     opened_sinks: list[Sink] = []
     # At the end sources are closed first, then sinks, then the network that they run in.
@@ -83,10 +100,15 @@ def live(
         if fused is not None:
             opened_sources.append(close_sources.enter_context(closing(fused)))
         for each in inputs:
-            source = open_source(each, mailbox, network, fused)
+            source = open_source(each, mailbox, network, fused, watchers)
             opened_sources.append(close_sources.enter_context(closing(source)))
         for each in sorted(outputs, key=lambda each: each.replaces_file):
             opened_sinks.append(close_sinks.enter_context(closing(open_sink(each, network, obstacles))))
+        if record is not None:
+            from kinecast.cameras.movie import Movie  # here, since OpenCV is an extra
+
+            opened_sinks.append(close_sinks.enter_context(closing(Movie(record, picture_rate(opened_sources)))))
+        watchers += [sink.take for sink in opened_sinks if isinstance(sink, TakesPictures)]
         loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
         stop = last.enter_context(_until_told())  # until here, Ctrl-C ends it in the middle of what it opens
         for source in opened_sources:
@@ -97,6 +119,8 @@ def live(
         gc.collect()
         gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
         last.callback(gc.unfreeze)
+        if alone:
+            open_browser(opened_sinks[0].address)
         with shown(loop):
             for source in opened_sources:
                 source.start()
@@ -107,9 +131,15 @@ def live(
         raise OSError("; ".join(failures))
 
 
-def _once(option: str, texts: Sequence[str]) -> Sequence[str]:
-    """The same; OptionError unless there is at least one, and each once."""
-    if not texts:
+def open_browser(address: str) -> None:
+    """Shows a page where there is a screen to show it on."""
+    if sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        webbrowser.open(address)
+
+
+def _once(option: str, texts: Sequence[str], none: bool = False) -> Sequence[str]:
+    """The same; OptionError unless there is at least one, or there may be none, and each once."""
+    if not (texts or none):
         raise OptionError(f"{option}: at least one is needed")
     again = next((text for text in texts if texts.count(text) > 1 and not text.endswith(":0")), None)
     if again is not None:

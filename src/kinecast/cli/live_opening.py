@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from kinecast.cli.options import check_file
 from kinecast.cli.recordings import one_scene, read_recordings
@@ -25,10 +25,13 @@ from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
     from kinecast.cameras.fused_source import FusedSource
+    from kinecast.cameras.overlay import Picture, Watcher
+    from kinecast.cameras.pinhole import Intrinsics
+    from kinecast.cameras.webcam import WebcamSource
 
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
-    "xsens://HOST:PORT?person=0, realsense:SERIAL?model=FILE, "
+    "xsens://HOST:PORT?person=0, camera:NUMBER, camera:FILE or camera:FOLDER?body=1.75, realsense:SERIAL?model=FILE, "
     "ros1:, ros2: or dds:/TOPIC?type=PoseArray, bag:PATH?topic=/TOPIC"
 )
 SINK_FORMS = (
@@ -43,6 +46,9 @@ SOURCE_SETTINGS = {
     "ws": ("camera",),
     "udp": ("camera",),
     "xsens": ("person", "up", "stamps"),
+    "camera": (
+        "model", "people", "size", "rate", "fov", "lens", "tilt", "height", "body", "feet", "confidence", "speed", "camera",
+    ),
     "realsense": ("model", "detector", "size", "rate", "tilt", "height", "camera"),
     "ros1": _ROS_INPUT,
     "ros2": _ROS_INPUT,
@@ -63,6 +69,13 @@ SINK_SETTINGS: Mapping[str, tuple[str, ...]] = {
 _DEFAULT_PORTS = {"ws": None, "udp": None, "xsens": DEFAULT_PORT, "view": 8080}
 """Of the kinds that are addresses; None where a port is needed."""
 _FILES: Mapping[str, type[FileSink]] = {"mcap": McapSink, "jsonl": JsonlSink}
+
+
+@runtime_checkable
+class TakesPictures(Protocol):
+    """A sink that shows a camera's pictures too."""
+
+    def take(self, picture: Picture) -> None: ...  # neither waits nor raises
 
 
 @dataclass(frozen=True)
@@ -136,6 +149,7 @@ def open_source(
     mailbox: Mailbox,
     network: Network,
     fused: FusedSource | None,
+    watchers: Sequence[Watcher] = (),
 ) -> Source:
     """Opens a source with a feed of its own in the mailbox; network sources listen at once.
 
@@ -143,6 +157,7 @@ def open_source(
         source: which.
         mailbox, network: for its frames, and that it runs in.
         fused: takes what cameras of the rig see; None without a rig.
+        watchers: take a plain camera's pictures.
 
     Raises:
         OptionError, DatasetError, ModelError: it cannot be opened.
@@ -153,6 +168,8 @@ def open_source(
         return RecordedSource(text, mailbox.feed(text), _recorded(source), speed, repeat)
     if source.kind == "realsense":
         return _open_realsense(source, mailbox, fused)
+    if source.kind == "camera":
+        return _open_webcam(source, mailbox, fused, watchers)
     feed = mailbox.feed(text)
     if source.kind == "xsens":
         return UdpSource(source.address, feed, network, XsensGuard(feed, XsensOptions.parse(settings, text)))
@@ -184,13 +201,37 @@ def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | Non
     name = f"realsense:{source.place}"
     feed = mailbox.feed(name)
     opened = RealSenseSource(name, feed, str(source.place), options, _handler(source, feed, fused))
+    _check_size(source, opened.intrinsics, fused)
+    return opened
+
+
+def _open_webcam(
+    source: Endpoint, mailbox: Mailbox, fused: FusedSource | None, watchers: Sequence[Watcher]
+) -> WebcamSource:
+    from kinecast.cameras.webcam import WebcamOptions, WebcamSource
+
+    options = WebcamOptions.parse(source.settings, source.text)
+    name = f"camera:{source.place}"
+    feed = mailbox.feed(name)
+    opened = WebcamSource(name, feed, str(source.place), options, watchers, _handler(source, feed, fused))
+    _check_size(source, opened.intrinsics, fused)
+    return opened
+
+
+def picture_rate(sources: Sequence[Source]) -> float:
+    """Pictures in a second of the one plain camera among them."""
+    from kinecast.cameras.webcam import WebcamSource
+
+    return next(each.stream.rate for each in sources if isinstance(each, WebcamSource))
+
+
+def _check_size(source: Endpoint, found: Intrinsics, fused: FusedSource | None) -> None:
+    """Raises OptionError unless a camera of the rig gives images of the size that it was calibrated with."""
     if fused is not None and "camera" in source.settings:
         calibrated = fused.rig.cameras[source.settings["camera"]].intrinsics
-        found = opened.intrinsics
         if (found.width, found.height) != (calibrated.width, calibrated.height):
             sizes = f"{found.width}x{found.height} pixels, and the rig's camera {calibrated.width}x{calibrated.height}"
             raise OptionError(f"{source.text}: its images have {sizes}")
-    return opened
 
 
 def _handler(source: Endpoint, feed: Feed, fused: FusedSource | None) -> DetectionHandler | None:
