@@ -6,6 +6,9 @@ PoseLandmarker task's documentation.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -50,6 +53,23 @@ class Landmarks:
         return self.confidence >= least
 
 
+def _blank() -> Image:
+    return Image(image_format=ImageFormat.SRGB, data=np.zeros((64, 64, 3), dtype=np.uint8))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """MediaPipe's own notes on standard error, forty lines that nobody can act on, go nowhere."""
+    before = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+
+
 class Landmarker:
     """Finds up to so many people in the images of one camera, and keeps their names from image to image.
 
@@ -65,37 +85,33 @@ class Landmarker:
             if path.stat().st_size > LARGEST_MODEL:
                 raise ValueError(f"larger than {LARGEST_MODEL} bytes")
             model = BaseOptions(model_asset_buffer=path.read_bytes())
-            # of one person alone it would smooth the landmarks, and lag by an image (docs/decisions/0026)
-            options = PoseLandmarkerOptions(
-                base_options=model, running_mode=RunningMode.VIDEO, num_poses=max(people, 2)
-            )
-            self._network = PoseLandmarker.create_from_options(options)
+            options = PoseLandmarkerOptions(base_options=model, running_mode=RunningMode.VIDEO, num_poses=people)
+            with _quiet():
+                self._network = PoseLandmarker.create_from_options(options)
+                self._network.detect_for_video(_blank(), 0)  # the first run takes ten times as long
         except (OSError, ValueError, RuntimeError) as error:
             raise ModelError(f"{path}: is no PoseLandmarker model ({error})") from None
-        self._most = people
         self._names = count()
         self._known: dict[str, tuple[Float[np.ndarray, " 4"], float]] = {}  # box, and when it was seen [s]
-        self._time = -1  # of the last image, as the network is told [ms]
+        self._time = 0  # of the last image, as the network is told [ms]
 
     def close(self) -> None:
         """Frees the network."""
-        self._network.close()
+        with _quiet():
+            self._network.close()
 
     def update(self, image: UInt8[np.ndarray, "h w 3"], stamp: float) -> dict[str, Landmarks]:
         """Who is in the next RGB image, taken at a stamp [s], by name; may raise a RuntimeError of MediaPipe."""
         self._time = max(self._time + 1, round(1000 * stamp))
         found = self._network.detect_for_video(Image(image_format=ImageFormat.SRGB, data=image), self._time)
         size = np.array([image.shape[1], image.shape[0]])
-        seen = [
-            Landmarks(
+        people: dict[str, Landmarks] = {}
+        for marks, shape in zip(found.pose_landmarks, found.pose_world_landmarks, strict=True):
+            person = Landmarks(
                 np.array([[each.x, each.y] for each in marks]) * size - 0.5,  # (0, 0): middle of the upper left pixel
                 np.array([[each.x, each.y, each.z] for each in shape]),
                 np.array([each.visibility or 0.0 for each in marks]),
             )
-            for marks, shape in zip(found.pose_landmarks, found.pose_world_landmarks, strict=True)
-        ]
-        people: dict[str, Landmarks] = {}
-        for person in sorted(seen, key=lambda each: -float(np.ptp(each.box.reshape(2, 2), axis=0).prod()))[: self._most]:
             people[self._name(person, stamp, set(people))] = person
         self._known = {name: known for name, known in self._known.items() if stamp - known[1] <= FORGOTTEN}
         return people

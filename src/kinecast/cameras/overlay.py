@@ -20,7 +20,7 @@ BONES = (
     ("left_hip", "right_hip"),
 )
 BODY, EDGE, SOON, LATE = (255, 255, 255), (40, 40, 40), (255, 214, 10), (230, 57, 70)
-TUBE, FAN = 0.28, 0.85  # opacity of the tubes, and of the fan's first arm
+TUBE, FAN, FADES = 0.25, 0.9, 3  # opacity of the tubes, of the fan's first arms, and in how many steps it fades
 SHOWN = (0.5, 1.0)  # share of the horizon at which tubes are drawn: two of them tell more than fifteen
 FINE = 16  # parts of a pixel that OpenCV's `shift` of 4 makes
 
@@ -51,16 +51,15 @@ def drawn(picture: Picture, publications: Sequence[Publication]) -> UInt8[np.nda
 
 
 def _draw_tubes(image: np.ndarray, camera: PinholeCamera, publication: Publication) -> None:
-    tubes, colour = publication.tubes, np.array(colour_of(publication.prediction.status)) * 255
-    steps = sorted({max(round(share * len(tubes.times)) - 1, 0) for share in SHOWN}) if len(tubes.times) else []
-    for step in steps:
-        mask = np.zeros(image.shape[:2], dtype=np.uint8)
+    tubes, colour = publication.tubes, [255 * part for part in colour_of(publication.prediction.status)]
+    for share in SHOWN if len(tubes.times) else ():
+        step = max(round(share * len(tubes.times)) - 1, 0)
+        layer = image.copy()
         for start, end, radius in zip(tubes.start[step], tubes.end[step], tubes.radius[step], strict=True):
             outline = _capsule(camera, np.stack([start, end]), float(radius))
             if outline is not None:
-                cv2.fillConvexPoly(mask, outline, 255, cv2.LINE_AA, 4)
-        inside = mask > 0
-        image[inside] = ((1 - TUBE) * image[inside] + TUBE * colour).astype(np.uint8)
+                cv2.fillConvexPoly(layer, outline, colour, cv2.LINE_AA, 4)
+        cv2.addWeighted(layer, TUBE, image, 1 - TUBE, 0, image)
 
 
 def _capsule(camera: PinholeCamera, ends: Float[np.ndarray, "2 3"], radius: float) -> np.ndarray | None:
@@ -76,16 +75,16 @@ def _capsule(camera: PinholeCamera, ends: Float[np.ndarray, "2 3"], radius: floa
 
 
 def _draw_fan(image: np.ndarray, camera: PinholeCamera, publication: Publication) -> None:
+    """The expected arms, later ones below, thinner and fainter."""
     mean = publication.prediction.mean
-    layer = image.copy()
-    for step in range(len(mean) - 1, -1, -1):  # the latest lies lowest
-        share = step / max(len(mean) - 1, 1)
-        colour = tuple((1 - share) * np.array(SOON) + share * np.array(LATE))
-        _lines(layer, camera.project(mean[step])[0], LIMBS, colour, 2)
-        if step % 3 == 0:  # what lies above is laid over what is below: later arms fade
-            opacity = FAN * (1 - 0.7 * share)
-            cv2.addWeighted(layer, opacity, image, 1 - opacity, 0, image)
-            layer = image.copy()
+    later = np.array_split(np.arange(len(mean))[::-1], FADES)
+    for layers, steps in enumerate(later, 1):
+        layer = image.copy()
+        for step in steps:
+            share = step / max(len(mean) - 1, 1)
+            colour = (1 - share) * np.array(SOON) + share * np.array(LATE)
+            _lines(layer, camera.project(mean[step])[0], LIMBS, colour.tolist(), 3 if share < 0.5 else 2)
+        cv2.addWeighted(layer, FAN * layers / FADES, image, 1 - FAN * layers / FADES, 0, image)
 
 
 def _draw_body(image: np.ndarray, camera: PinholeCamera, publication: Publication) -> None:
@@ -110,8 +109,9 @@ def _write(image: np.ndarray, publications: Sequence[Publication]) -> None:
     lines = [(f"{each.prediction.person}: {each.prediction.status.name}", each.prediction.status) for each in publications]
     for row, (text, status) in enumerate(lines or [("nobody is seen", Status.OCCLUDED)]):
         colour = tuple(255 * part for part in colour_of(status))
-        for ink, width in ((EDGE, 4), (colour, 1)):
-            cv2.putText(image, text, (10, 26 + 24 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.7, ink, width, cv2.LINE_AA)
+        (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)
+        cv2.rectangle(image, (4, 6 + 24 * row), (16 + wide, 30 + 24 * row), EDGE, cv2.FILLED)
+        cv2.putText(image, text, (10, 24 + 24 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 1, cv2.LINE_AA)
 
 
 def _fine(pixels: np.ndarray) -> np.ndarray:

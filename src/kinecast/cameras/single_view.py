@@ -31,7 +31,7 @@ DEPTH_STD = 0.04
 STATED_STD, FLOOR_STD, UNKNOWN_STD = 0.03, 0.05, 0.08
 """Relative errors of the scale: bones of people of one height differ by so much; a camera's tilt that is 1° off at 3 m;
 statures differ by 5.5 %, and the network's guess by as much again."""
-JITTER, DEPTH_JITTER = 0.15, 0.01
+JITTER, DEPTH_JITTER = 0.3, 0.02
 """What changes from image to image: share of a pixel's error, and of the depth (docs/cameras.md has what was measured)."""
 SOLE = 0.03  # heel and toe landmarks above the floor [m]
 LEAST_DROP = 0.5  # feet that are less below the camera say nothing of the scale [m]

@@ -162,7 +162,9 @@ class WebcamSource:
                 if self._stop.wait(max(arrived - time.monotonic(), 0.0)):
                     return
             with self._changed:
-                self._feed.superseded += self._newest is not None
+                missed = self._newest is not None
+                self._feed.received += missed
+                self._feed.superseded += missed
                 self._newest = stamp, picture, arrived
                 self._changed.notify()
 
