@@ -72,6 +72,8 @@ class Movie:
             self._closing.wait(max(came + DELAY - time.monotonic(), 0.0))
             if self.counters.attempt(self._write, picture):
                 self.counters.sent(time.monotonic() - came)
+            else:
+                self.counters.drop()
         if self._writer is not None:
             self._writer.release()
             self.counters.attempt(self._part.replace, self._path)

@@ -19,7 +19,7 @@ BONES = (
     ("left_shoulder", "right_shoulder"),
     ("left_hip", "right_hip"),
 )
-BODY, EDGE, SOON, LATE = (255, 255, 255), (40, 40, 40), (255, 214, 10), (230, 57, 70)
+BODY, EDGE, SOON, LATE = np.array([[255.0, 255.0, 255.0], [40.0, 40.0, 40.0], [255.0, 214.0, 10.0], [230.0, 57.0, 70.0]])
 TUBE, FAN, FADES = 0.25, 0.9, 3  # opacity of the tubes, of the fan's first arms, and in how many steps it fades
 SHOWN = (0.5, 1.0)  # share of the horizon at which tubes are drawn: two of them tell more than fifteen
 FINE = 16  # parts of a pixel that OpenCV's `shift` of 4 makes
@@ -82,8 +82,8 @@ def _draw_fan(image: np.ndarray, camera: PinholeCamera, publication: Publication
         layer = image.copy()
         for step in steps:
             share = step / max(len(mean) - 1, 1)
-            colour = (1 - share) * np.array(SOON) + share * np.array(LATE)
-            _lines(layer, camera.project(mean[step])[0], LIMBS, colour.tolist(), 3 if share < 0.5 else 2)
+            colour = (1 - share) * SOON + share * LATE
+            _lines(layer, camera.project(mean[step])[0], LIMBS, colour, 3 if share < 0.5 else 2)
         cv2.addWeighted(layer, FAN * layers / FADES, image, 1 - FAN * layers / FADES, 0, image)
 
 
@@ -95,13 +95,15 @@ def _draw_body(image: np.ndarray, camera: PinholeCamera, publication: Publicatio
     for colour, width in ((EDGE, 4), (BODY, 2)):
         _lines(image, pixels, bones, colour, width)
     for pixel in pixels[np.isfinite(pixels).all(axis=1)]:
-        cv2.circle(image, _fine(pixel).tolist(), 4 * FINE, BODY, cv2.FILLED, cv2.LINE_AA, 4)
+        cv2.circle(image, _fine(pixel).tolist(), 4 * FINE, BODY.tolist(), cv2.FILLED, cv2.LINE_AA, 4)
 
 
-def _lines(image: np.ndarray, pixels: np.ndarray, pairs: Sequence[tuple[int, int]], colour: Sequence[float], width: int) -> None:
+def _lines(
+    image: np.ndarray, pixels: np.ndarray, pairs: Sequence[tuple[int, int]], colour: np.ndarray, width: int
+) -> None:
     for a, b in pairs:
         if np.isfinite(pixels[[a, b]]).all():
-            cv2.line(image, _fine(pixels[a]).tolist(), _fine(pixels[b]).tolist(), colour, width, cv2.LINE_AA, 4)
+            cv2.line(image, _fine(pixels[a]).tolist(), _fine(pixels[b]).tolist(), colour.tolist(), width, cv2.LINE_AA, 4)
 
 
 def _write(image: np.ndarray, publications: Sequence[Publication]) -> None:
@@ -110,7 +112,7 @@ def _write(image: np.ndarray, publications: Sequence[Publication]) -> None:
     for row, (text, status) in enumerate(lines or [("nobody is seen", Status.OCCLUDED)]):
         colour = tuple(255 * part for part in colour_of(status))
         (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)
-        cv2.rectangle(image, (4, 6 + 24 * row), (16 + wide, 30 + 24 * row), EDGE, cv2.FILLED)
+        cv2.rectangle(image, (4, 6 + 24 * row), (16 + wide, 30 + 24 * row), EDGE.tolist(), cv2.FILLED)
         cv2.putText(image, text, (10, 24 + 24 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 1, cv2.LINE_AA)
 
 

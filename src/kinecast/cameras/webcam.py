@@ -64,7 +64,7 @@ class WebcamOptions:
             raise OptionError(f"{text}: fov= and lens= both say what the lens is: give one")
         return cls(
             Path(settings["model"]) if settings.get("model") else cached_model(MODEL),
-            whole_number(settings, "people", cls.people, text, 1.0, MOST_PEOPLE),
+            whole_number(settings, "people", cls.people, text, 1.0, float(MOST_PEOPLE)),
             (int(size[1]), int(size[2])) if "size" in settings else None,
             number(settings, "rate", 30.0, text, 1.0, 300.0) if "rate" in settings else None,
             number(settings, "fov", FIELD_OF_VIEW, text, 10.0, 150.0) if "fov" in settings else None,
@@ -184,10 +184,10 @@ class WebcamSource:
             except Exception as problem:  # of MediaPipe
                 self._feed.refuse(f"{type(problem).__name__}: {problem}")
             looked_at += 1
-        if self.stream.lost:
-            self._feed.refuse(f"{self.stream.lost} pictures could not be read")
-        if looked_at and not placed:
-            self._feed.refuse(f"nobody was seen in {looked_at} pictures")
+        unread = f"{self.stream.lost} pictures could not be read" if self.stream.lost else ""
+        nobody = f"nobody was seen in {looked_at} pictures" if looked_at and not placed else ""
+        if unread or nobody:
+            self._feed.refuse(", ".join(filter(None, (unread, nobody))))
         self._feed.end()
 
     def _look(self, stamp: float, picture: Colour, acquired: float) -> int:

@@ -13,7 +13,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.cameras.movie import Movie
 from kinecast.cameras.overlay import Picture, drawn
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
-from kinecast.live.publication import Publication
+from kinecast.live.publication import Publication, colour_of
 from kinecast.live.sinks import Sink
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame
@@ -39,8 +39,8 @@ def test_tubes_lie_over_the_arms_and_nothing_is_drawn_far_away(published: Public
     for limb in ((0, 1), (1, 2), (3, 4), (4, 5)):
         x, y = CAMERA.project(ARMS[list(limb)].mean(axis=0))[0].round().astype(int)
         assert changed[y - 3 : y + 4, x - 3 : x + 4].all()
-        green, red = image[y, x - 6, 1], image[y, x - 6, 0]
-        assert green >= red
+        beside = image[y, x - 12] - 128.0  # the tube: towards the status' colour
+        assert beside @ (np.array(colour_of(published.prediction.status)) * 255 - 128) > 500
     assert not changed[200:].any()
     np.testing.assert_array_equal(GREY, 128)
 
