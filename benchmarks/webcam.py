@@ -5,8 +5,8 @@ python -m benchmarks.webcam --data DATA [--takes N] [--out JSON]
 Landmarks are the joints of recordings (CMU, Berkeley MHAD) before a camera of 640 x 480 pixels and 65°, 1.4 m high,
 5° down, with the published errors: in the image 8 % of the torso (σ at which 95.7 % are within 20 %, MediaPipe's
 PCK@0.2), in the shape's depth 61 mm (97 mm in three dimensions, Kim et al. 2023), shapes 8 % too large or too small
-for each take. Errors last 1 s (first-order), beside jitter that was measured on a video of a photograph: 1.5 % of the torso
-in the image, 10 mm in depth.
+for each take. Errors last 1 s (first-order), beside jitter that was measured on a video of a photograph: 1.5 % of the
+torso in the image, 10 mm in depth.
 """
 
 from __future__ import annotations
@@ -74,7 +74,9 @@ def _motions(data: Path, takes: int) -> Iterator[Float[np.ndarray, "T 12 3"]]:
     chosen = [files[k] for k in np.linspace(0, len(files) - 1, min(takes, len(files))).astype(int)]
     for recording in load_all(chosen):
         columns = [recording.joints.index(joint) for joint in _SEEN]
-        stamps = np.arange(0.0, min(recording.stamps[-1] - recording.stamps[0], LONGEST), 1 / RATE) + recording.stamps[0]
+        stamps = (
+            np.arange(0.0, min(recording.stamps[-1] - recording.stamps[0], LONGEST), 1 / RATE) + recording.stamps[0]
+        )
         flat = recording.positions[:, columns].reshape(len(recording.positions), -1)
         motion = np.stack([np.interp(stamps, recording.stamps, column) for column in flat.T], axis=1).reshape(-1, 12, 3)
         if np.isfinite(motion).all() and len(motion) > 2 * SETTLED * RATE:
@@ -104,8 +106,8 @@ def _scores(motions: list[np.ndarray], options: ScaleOptions, distance: float, a
     along, across, arms, joints, inside = np.mean(errors, axis=0)
     (lag_before, lag), (jitter_before, jitter) = np.median(lags, axis=0), np.mean(jitters, axis=0)
     return {
-        "along_the_ray_mm": round(1e3 * along), "across_mm": round(1e3 * across), "arms_to_shoulders_mm": round(1e3 * arms),
-        "joint_mm": round(1e3 * joints), "inside_90": round(float(inside), 3),
+        "along_the_ray_mm": round(1e3 * along), "across_mm": round(1e3 * across),
+        "arms_to_shoulders_mm": round(1e3 * arms), "joint_mm": round(1e3 * joints), "inside_90": round(float(inside), 3),
         "wrist_lag_ms": round(1e3 * lag, 1), "unfiltered_lag_ms": round(1e3 * lag_before, 1),
         "wrist_jitter_mm": round(1e3 * jitter, 1), "unfiltered_jitter_mm": round(1e3 * jitter_before, 1),
     }  # fmt: skip
@@ -188,7 +190,7 @@ def _lag(truth: np.ndarray, found: np.ndarray) -> float:
 
 
 def _jitter(error: np.ndarray) -> float:
-    """Standard deviation of what changes from picture to picture [m]: second difference over √6, three axes together."""
+    """Standard deviation of what changes from picture to picture [m]: second difference over √6, three axes at once."""
     return float(np.sqrt((np.nanvar(np.diff(error, n=2, axis=0), axis=0) / 6).sum(axis=-1).mean()))
 
 

@@ -68,7 +68,7 @@ def test_a_models_licence_is_printed_and_what_is_not_that_model_leaves_nothing(
     assert outcome.code == 2
     assert outcome.err.startswith("kinecast: pose_landmarker_full.task: ")
     assert outcome.err.count("\n") == 1
-    assert not [path for path in (tmp_path / "cache").rglob("*.task")]
+    assert not list((tmp_path / "cache").rglob("*.task"))
 
 
 def test_a_whole_record(kinecast: Kinecast, server: tuple[Path, str], tmp_path: Path) -> None:

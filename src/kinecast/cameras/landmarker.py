@@ -45,7 +45,9 @@ class Landmarks:
     @property
     def box(self) -> Float[np.ndarray, " 4"]:
         """(4,) left, top, right, bottom [px] of shoulders and hips, which change least from image to image."""
-        trunk = self.pixels[[JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("shoulder", "hip")]]
+        trunk = self.pixels[
+            [JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("shoulder", "hip")]
+        ]
         return np.concatenate([trunk.min(axis=0) - 1, trunk.max(axis=0) + 1])
 
     def seen(self, least: float) -> Bool[np.ndarray, " 33"]:

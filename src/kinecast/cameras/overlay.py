@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -15,11 +16,13 @@ from kinecast.types import LIMBS, Status
 
 _SIDE = ("shoulder", "elbow", "wrist"), ("shoulder", "hip", "knee", "ankle")
 BONES = (
-    *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for chain in _SIDE for a, b in zip(chain, chain[1:], strict=False)),
+    *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for chain in _SIDE for a, b in pairwise(chain)),
     ("left_shoulder", "right_shoulder"),
     ("left_hip", "right_hip"),
 )
-BODY, EDGE, SOON, LATE = np.array([[255.0, 255.0, 255.0], [40.0, 40.0, 40.0], [255.0, 214.0, 10.0], [230.0, 57.0, 70.0]])
+BODY, EDGE, SOON, LATE = np.array(
+    [[255.0, 255.0, 255.0], [40.0, 40.0, 40.0], [255.0, 214.0, 10.0], [230.0, 57.0, 70.0]]
+)
 TUBE, FAN, FADES = 0.25, 0.9, 3  # opacity of the tubes, of the fan's first arms, and in how many steps it fades
 SHOWN = (0.5, 1.0)  # share of the horizon at which tubes are drawn: two of them tell more than fifteen
 FINE = 16  # parts of a pixel that OpenCV's `shift` of 4 makes
@@ -103,12 +106,16 @@ def _lines(
 ) -> None:
     for a, b in pairs:
         if np.isfinite(pixels[[a, b]]).all():
-            cv2.line(image, _fine(pixels[a]).tolist(), _fine(pixels[b]).tolist(), colour.tolist(), width, cv2.LINE_AA, 4)
+            cv2.line(
+                image, _fine(pixels[a]).tolist(), _fine(pixels[b]).tolist(), colour.tolist(), width, cv2.LINE_AA, 4
+            )
 
 
 def _write(image: np.ndarray, publications: Sequence[Publication]) -> None:
     """One line for each person, at the top."""
-    lines = [(f"{each.prediction.person}: {each.prediction.status.name}", each.prediction.status) for each in publications]
+    lines = [
+        (f"{each.prediction.person}: {each.prediction.status.name}", each.prediction.status) for each in publications
+    ]
     for row, (text, status) in enumerate(lines or [("nobody is seen", Status.OCCLUDED)]):
         colour = tuple(255 * part for part in colour_of(status))
         (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)

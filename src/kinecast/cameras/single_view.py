@@ -2,8 +2,8 @@
 
 Across the ray a joint is where its pixel is. Along the ray it is where the shape stands (`perspective.translation`),
 times the body's scale: stated height over the height of the shape's bones, or the camera's height over how far below
-it the feet are. An error of scale or focal length moves the whole person along the ray and stays; it is in `covariance`,
-not in `std`, which says what joints are unsure of each other and is what widens a prediction.
+it the feet are. An error of scale or focal length moves the whole person along the ray and stays; it is in
+`covariance`, not in `std`, which says how unsure joints are of each other and is what widens a prediction.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _HIPS = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
 _FEET = [JOINTS.index(f"{side}_{part}") for side in ("left", "right") for part in ("heel", "foot")]
 
 DEPTH_STD = 0.06
-"""Error of a joint's depth within the shape [m]: 97 mm of a joint in three dimensions, by 1.6 for one (Kim et al. 2023, Human
-Pose Estimation Using MediaPipe Pose and Optimization Method Based on a Humanoid Model)."""
+"""Error of a joint's depth within the shape [m]: 97 mm of a joint in three dimensions, by 1.6 for one (Kim et al. 2023,
+Human Pose Estimation Using MediaPipe Pose and Optimization Method Based on a Humanoid Model)."""
 STATED_STD, FLOOR_STD, UNKNOWN_STD = 0.03, 0.05, 0.08
 """Relative errors of the scale: bones of people of one height differ by so much; a camera's tilt that is 1° off at 3 m;
 statures differ by 5.5 %, and the network's guess by as much again."""
 JITTER, DEPTH_JITTER = 0.3, 0.02
-"""What changes from image to image: share of a pixel's error, and of the depth (docs/cameras.md has what was measured)."""
+"""What changes from image to image: share of a pixel's error, and of the depth (docs/decisions/0026)."""
 SOLE = 0.03  # heel and toe landmarks above the floor [m]
 LEAST_DROP = 0.5  # feet that are less below the camera say nothing of the scale [m]
 SETTLED = 300  # images over which the scale is averaged

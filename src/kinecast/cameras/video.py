@@ -48,7 +48,9 @@ class VideoStream:
         self.place, self._asked = place, (size, rate)
         self.live = place.isdecimal() or place.startswith(STREAMS)
         self.rate = rate or RATE
-        self.lost = 0  # pictures of a folder that cannot be read or are of another size; rest of a video that breaks off
+        self.lost = (
+            0  # pictures of a folder that cannot be read or are of another size; rest of a video that breaks off
+        )
         self._epoch = time.time() - time.monotonic()
         self._files: list[Path] = []
         if not self.live and Path(place).is_dir():
@@ -81,7 +83,9 @@ class VideoStream:
             return
         number = int(self.place) if self.place.isdecimal() else None
         waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, SILENT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, SILENT]
-        capture = cv2.VideoCapture(number) if number is not None else cv2.VideoCapture(self.place, cv2.CAP_FFMPEG, waits)
+        capture = (
+            cv2.VideoCapture(number) if number is not None else cv2.VideoCapture(self.place, cv2.CAP_FFMPEG, waits)
+        )
         try:
             yield from self._decoded(capture, stop)
         finally:

@@ -79,7 +79,9 @@ def live(
     inputs = [read_source(each) for each in _once("--source", sources)]
     cameras_seen = [each for each in inputs if each.kind == "camera"]
     alone = bool(cameras_seen) and not sinks and record is None
-    outputs = [read_sink(each) for each in _once("--sink", (*sinks, *(("view://",) if alone else ())), record is not None)]
+    outputs = [
+        read_sink(each) for each in _once("--sink", (*sinks, *(("view://",) if alone else ())), record is not None)
+    ]
     if record is not None:
         check_file(record, (".mp4",), "--record")
         if len(cameras_seen) != 1:

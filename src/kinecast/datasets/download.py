@@ -1,4 +1,4 @@
-"""Public recordings and models whose licence allows it, downloaded: resumed where they broke off, checked, inside their folder."""
+"""Public recordings and models, downloaded: resumed where they broke off, checked, inside their folder."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PublicSet:
     files: Mapping[str, Mapping[str, str | int]] | None
     """Name to sha256 and bytes, from verified copies; None for a Zenodo record, which lists its own."""
     model: Mapping[str, str | int] | None = None
-    """Name, sha256 and bytes of the network that is the file, or in it; None of recordings (kinecast.datasets.model_cache)."""
+    """Name, sha256 and bytes of the network that is the file, or in it (model_cache); None of recordings."""
 
 
 @dataclass(frozen=True)

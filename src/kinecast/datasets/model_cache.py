@@ -78,7 +78,9 @@ def _unpack(archive: Path, part: Path, model: RemoteFile) -> None:
     """Writes the one entry of an archive whose size and ending are the model's; an OSError where it is another."""
     with zipfile.ZipFile(archive) as opened:
         ending = Path(model.name).suffix
-        entries = [each for each in opened.infolist() if each.filename.endswith(ending) and each.file_size == model.size]
+        entries = [
+            each for each in opened.infolist() if each.filename.endswith(ending) and each.file_size == model.size
+        ]
         if len(entries) != 1:
             raise DownloadError(f"holds {len(entries)} files *{ending} of {model.size} bytes, expected one")
         with opened.open(entries[0]) as content, part.open("wb") as file:

@@ -73,7 +73,11 @@ def test_what_cannot_be_placed_is_not(shape: np.ndarray, directions: np.ndarray)
 
 
 def test_a_bodys_height_comes_from_its_bones() -> None:
-    joints = tuple(f"{side}_{name}" for side in ("left", "right") for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"))
+    joints = tuple(
+        f"{side}_{name}"
+        for side in ("left", "right")
+        for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    )
     shape = np.zeros((12, 3))
     for start in (0, 6):
         shape[start : start + 3, 0] = np.cumsum([0.0, 0.186, 0.146])

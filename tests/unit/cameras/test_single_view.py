@@ -16,8 +16,8 @@ from kinecast.geometry.transforms import apply
 CAMERA = PinholeCamera("c", Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5), level_pose(1.5, np.radians(8.0)))
 HEIGHT = 1.8
 _SIDE = {
-    "shoulder": (0.18, 0.818), "elbow": (0.20, 0.632), "wrist": (0.22, 0.486), "hip": (0.10, 0.530), "knee": (0.10, 0.285),
-    "ankle": (0.10, 0.039), "heel": (0.10, 0.0167), "foot": (0.10, 0.0167),
+    "shoulder": (0.18, 0.818), "elbow": (0.20, 0.632), "wrist": (0.22, 0.486), "hip": (0.10, 0.530),
+    "knee": (0.10, 0.285), "ankle": (0.10, 0.039), "heel": (0.10, 0.0167), "foot": (0.10, 0.0167),
 }  # fmt: skip
 """How far to the side a joint is [m], and how high as a share of the body's height."""
 

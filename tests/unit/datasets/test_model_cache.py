@@ -154,7 +154,9 @@ def test_every_models_real_address_size_and_checksum_are_complete() -> None:
     for each in models:
         assert each.files is not None
         assert each.model is not None
-        assert each.url.startswith("https://storage.googleapis.com/") or each.url.startswith("https://download.openmmlab.com/")
+        assert each.url.startswith("https://storage.googleapis.com/") or each.url.startswith(
+            "https://download.openmmlab.com/"
+        )
         assert "Apache" in each.licence
         for facts in (*each.files.values(), each.model):
             assert len(bytes.fromhex(str(facts["sha256"]))) == 32
