@@ -107,7 +107,8 @@ def _scores(motions: list[np.ndarray], options: ScaleOptions, distance: float, a
     (lag_before, lag), (jitter_before, jitter) = np.median(lags, axis=0), np.mean(jitters, axis=0)
     return {
         "along_the_ray_mm": round(1e3 * along), "across_mm": round(1e3 * across),
-        "arms_to_shoulders_mm": round(1e3 * arms), "joint_mm": round(1e3 * joints), "inside_90": round(float(inside), 3),
+        "arms_to_shoulders_mm": round(1e3 * arms), "joint_mm": round(1e3 * joints),
+        "inside_90": round(float(inside), 3),
         "wrist_lag_ms": round(1e3 * lag, 1), "unfiltered_lag_ms": round(1e3 * lag_before, 1),
         "wrist_jitter_mm": round(1e3 * jitter, 1), "unfiltered_jitter_mm": round(1e3 * jitter_before, 1),
     }  # fmt: skip

@@ -61,7 +61,7 @@ def test_a_models_licence_is_printed_and_what_is_not_that_model_leaves_nothing(
     kinecast: Kinecast, server: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root, url = server
-    (root / "pose_landmarker_full.task").write_bytes(b"something else")
+    (root / "pose_landmarker_full.task").write_bytes(bytes(9_398_198))
     monkeypatch.setenv("KINECAST_MODELS", str(tmp_path / "cache"))
     outcome = kinecast("download", "pose-landmarker", "--url", url)
     assert "licence: Apache License 2.0, The MediaPipe Authors" in outcome.out

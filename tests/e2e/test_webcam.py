@@ -151,6 +151,23 @@ def test_a_missing_model_says_the_command_and_a_bad_one_is_named(
     assert not (tmp_path / "a.jsonl").exists()
 
 
+@pytest.mark.parametrize("display", ["", ":0"])
+def test_a_camera_alone_opens_the_view_and_a_browser_where_there_is_a_screen(
+    display: str, live: Kinecast, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[str] = []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    monkeypatch.setattr("kinecast.cli.live_opening._DEFAULT_PORTS", {"view": 0})
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    cv2.imwrite(str(tmp_path / "0.png"), np.full((120, 160, 3), 90, dtype=np.uint8))
+    outcome = live("--source", f"camera:{tmp_path}")
+    assert outcome.code == 0
+    address = outcome.out.split("sink: ")[1].split()[0]
+    assert shown == ([address] if display else [])
+
+
 def test_a_film_is_of_one_camera(kinecast: Kinecast, tables: tuple[Path, Path], tmp_path: Path) -> None:
     outcome = kinecast("live", "--source", tables[0], "--record", tmp_path / "a.mp4")
     assert (outcome.code, outcome.err.count("\n")) == (2, 1)

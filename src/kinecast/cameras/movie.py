@@ -26,13 +26,11 @@ CLOSING = 10.0  # longest wait for the end [s]
 class Movie:
     """Writes each picture at its own time; an unfinished file has another name, and none stays without a picture.
 
-    Args:
-        path: of the file; one that is there is replaced at the end.
-        rate: pictures in a second.
+    A file that is at the path is replaced at the end.
     """
 
-    def __init__(self, path: Path, rate: float) -> None:
-        self.address, self._path, self._rate = str(path), path, rate
+    def __init__(self, path: Path) -> None:
+        self.address, self._path = str(path), path
         self._part = path.with_name(f"{path.stem}.part{path.suffix}")
         self.counters = SinkCounters(self.address, "written", OSError)
         self._pictures: queue.Queue[tuple[float, Picture]] = queue.Queue(MOST_WAITING)
@@ -81,12 +79,12 @@ class Movie:
     def _write(self, picture: Picture) -> None:
         if self._writer is None:
             size = picture.image.shape[1], picture.image.shape[0]
-            self._writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*"mp4v"), self._rate, size)
+            self._writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*"mp4v"), picture.rate, size)
             if not self._writer.isOpened():
                 self._writer = None
                 raise OSError("OpenCV cannot write this video")
             self._begun = picture.stamp
-        due = round((picture.stamp - self._begun) * self._rate) + 1
+        due = round((picture.stamp - self._begun) * picture.rate) + 1
         image = cv2.cvtColor(drawn(picture, self._of(picture)), cv2.COLOR_RGB2BGR)
         for _ in range(int(np.clip(due - self._written, 0, LONGEST))):
             self._writer.write(image)

@@ -36,6 +36,7 @@ class Picture:
     stamp: float  # [s], on the clock of its frames
     image: UInt8[np.ndarray, "h w 3"]  # RGB
     camera: PinholeCamera
+    rate: float  # pictures in a second, as far as the camera says
 
 
 Watcher = Callable[[Picture], None]

@@ -202,7 +202,7 @@ class WebcamSource:
             kept = {name: known for name, known in self._views.items() if stamp - known[1] <= RESTART}
             self._views = kept | {name: (view, stamp) for name, view in views.items()}
         for watcher in self._watchers:
-            watcher(Picture(self._feed.name, stamp, picture, self._camera))
+            watcher(Picture(self._feed.name, stamp, picture, self._camera, self.stream.rate))
         for frame in frames:
             if frame is not None:
                 self._feed.put(frame, acquired, 1.0 if self.stream.live else self._options.speed)

@@ -18,7 +18,7 @@ from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
-from kinecast.cli.options import ModelFile, OptionalFile, check_file, check_seed, read_predictor
+from kinecast.cli.options import ModelFile, OptionalFile, check_seed, read_predictor
 from kinecast.cli.progress import CONSOLE
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
@@ -26,6 +26,7 @@ from kinecast.predictor import Predictor, PredictorOptions
 
 if TYPE_CHECKING:
     from kinecast.cameras.overlay import Watcher
+    from kinecast.cli.live_opening import Endpoint
 
 _ONCE_OR_MORE = "(once or more)"
 Texts = UseAppendAction[tuple[str, ...]]
@@ -66,7 +67,7 @@ def live(
     """
     from kinecast.cameras.fused_source import FusedSource
     from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
-    from kinecast.cli.live_opening import TakesPictures, open_sink, open_source, picture_rate, read_sink, read_source
+    from kinecast.cli.live_opening import TakesPictures, open_sink, open_source, read_sink, read_source
     from kinecast.live.loop import Live
     from kinecast.live.mailbox import Mailbox
     from kinecast.live.network import Network
@@ -77,15 +78,7 @@ def live(
     if not 0 < level < 1:
         raise OptionError(f"--level {level} is outside 0..1")
     inputs = [read_source(each) for each in _once("--source", sources)]
-    cameras_seen = [each for each in inputs if each.kind == "camera"]
-    alone = bool(cameras_seen) and not sinks and record is None
-    outputs = [
-        read_sink(each) for each in _once("--sink", (*sinks, *(("view://",) if alone else ())), record is not None)
-    ]
-    if record is not None:
-        check_file(record, (".mp4",), "--record")
-        if len(cameras_seen) != 1:
-            raise OptionError(f"--record {record}: records one --source camera:, and there are {len(cameras_seen)}")
+    outputs = [read_sink(each) for each in _once("--sink", _with_defaults(sinks, record, inputs))]
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
@@ -106,10 +99,6 @@ def live(
             opened_sources.append(close_sources.enter_context(closing(source)))
         for each in sorted(outputs, key=lambda each: each.replaces_file):
             opened_sinks.append(close_sinks.enter_context(closing(open_sink(each, network, obstacles))))
-        if record is not None:
-            from kinecast.cameras.movie import Movie  # here, since OpenCV is an extra
-
-            opened_sinks.append(close_sinks.enter_context(closing(Movie(record, picture_rate(opened_sources)))))
         watchers += [sink.take for sink in opened_sinks if isinstance(sink, TakesPictures)]
         loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
         stop = last.enter_context(_until_told())  # until here, Ctrl-C ends it in the middle of what it opens
@@ -121,8 +110,8 @@ def live(
         gc.collect()
         gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
         last.callback(gc.unfreeze)
-        if alone:
-            open_browser(opened_sinks[0].address)
+        if not sinks and record is None:
+            _open_browser(opened_sinks[0].address)
         with shown(loop):
             for source in opened_sources:
                 source.start()
@@ -133,15 +122,24 @@ def live(
         raise OSError("; ".join(failures))
 
 
-def open_browser(address: str) -> None:
+def _with_defaults(sinks: Sequence[str], record: Path | None, inputs: Sequence[Endpoint]) -> Sequence[str]:
+    """The sinks, with the video that is to be recorded; a camera without any has the view."""
+    cameras = sum(each.kind == "camera" for each in inputs)
+    if record is not None and cameras != 1:
+        raise OptionError(f"--record {record}: records one --source camera:, and there are {cameras}")
+    recorded = () if record is None else (f"mp4:{record}",)
+    return (*sinks, *recorded) or (("view://",) if cameras else ())
+
+
+def _open_browser(address: str) -> None:
     """Shows a page where there is a screen to show it on."""
     if sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         webbrowser.open(address)
 
 
-def _once(option: str, texts: Sequence[str], none: bool = False) -> Sequence[str]:
-    """The same; OptionError unless there is at least one, or there may be none, and each once."""
-    if not (texts or none):
+def _once(option: str, texts: Sequence[str]) -> Sequence[str]:
+    """The same; OptionError unless there is at least one, and each once."""
+    if not texts:
         raise OptionError(f"{option}: at least one is needed")
     again = next((text for text in texts if texts.count(text) > 1 and not text.endswith(":0")), None)
     if again is not None:

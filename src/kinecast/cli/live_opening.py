@@ -31,12 +31,10 @@ if TYPE_CHECKING:
 
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
-    "xsens://HOST:PORT?person=0, camera:NUMBER, camera:FILE or camera:FOLDER?body=1.75, realsense:SERIAL?model=FILE, "
+    "xsens://HOST:PORT?person=0, camera:NUMBER, FILE or FOLDER?body=1.75, realsense:SERIAL?model=FILE, "
     "ros1:, ros2: or dds:/TOPIC?type=PoseArray, bag:PATH?topic=/TOPIC"
 )
-SINK_FORMS = (
-    "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
-)
+SINK_FORMS = "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, mp4:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
 _ROS = ("ros1", "ros2", "dds")
 _ROS_INPUT = ("type", "joints", "person", "frame", "height", "camera")
 _ROS_OUTPUT = ("outputs", "planning_scene", "parts", "thickness")
@@ -72,6 +70,7 @@ SINK_SETTINGS: Mapping[str, tuple[str, ...]] = {
     "ws": ("format",),
     "mcap": (),
     "jsonl": (),
+    "mp4": (),
     "ros1": _ROS_OUTPUT,
     "ros2": _ROS_OUTPUT,
     "dds": (*_ROS_OUTPUT, *_DDS),
@@ -113,7 +112,7 @@ class Endpoint:
     @property
     def replaces_file(self) -> bool:
         """Whether a sink begins with an empty file: opened last, so that none is lost where another cannot be."""
-        return self.kind in (*_FILES, "bag")
+        return self.kind in (*_FILES, "mp4", "bag")
 
 
 def read_source(text: str) -> Endpoint:
@@ -136,7 +135,7 @@ def read_sink(text: str) -> Endpoint:
     wrong = f"--sink {text}: expected {SINK_FORMS}"
     sink = _endpoint(text, SINK_SETTINGS, wrong)
     choice(sink.settings, "format", ("json", "msgpack"), text)
-    if sink.kind in _FILES:
+    if sink.kind in (*_FILES, "mp4"):
         if not sink.place:
             raise OptionError(wrong)
         check_file(sink.path, (f".{sink.kind}",), "--sink")
@@ -230,13 +229,6 @@ def _open_webcam(
     return opened
 
 
-def picture_rate(sources: Sequence[Source]) -> float:
-    """Pictures in a second of the one plain camera among them."""
-    from kinecast.cameras.webcam import WebcamSource
-
-    return next(each.stream.rate for each in sources if isinstance(each, WebcamSource))
-
-
 def _check_size(source: Endpoint, found: Intrinsics, fused: FusedSource | None) -> None:
     """Raises OptionError unless a camera of the rig gives images of the size that it was calibrated with."""
     if fused is not None and "camera" in source.settings:
@@ -260,6 +252,10 @@ def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> S
     """Opens a sink, in the network where it needs one; OptionError where it cannot be. Views draw the scene."""
     if sink.kind in _FILES:
         return _FILES[sink.kind](sink.path)
+    if sink.kind == "mp4":
+        from kinecast.cameras.movie import Movie  # here, since cameras are an extra
+
+        return Movie(sink.path)
     if sink.kind == "ws":
         return WebSocketSink(sink.address, network, sink.settings.get("format") == "msgpack")
     if sink.kind == "view":

@@ -34,7 +34,7 @@ def published() -> Publication:
 
 
 def test_tubes_lie_over_the_arms_and_nothing_is_drawn_far_away(published: Publication) -> None:
-    image = drawn(Picture("camera:0", 0.4, GREY, CAMERA), [published])
+    image = drawn(Picture("camera:0", 0.4, GREY, CAMERA, 20.0), [published])
     changed = (image != GREY).any(axis=2)
     for limb in ((0, 1), (1, 2), (3, 4), (4, 5)):
         x, y = CAMERA.project(ARMS[list(limb)].mean(axis=0))[0].round().astype(int)
@@ -47,17 +47,17 @@ def test_tubes_lie_over_the_arms_and_nothing_is_drawn_far_away(published: Public
 
 def test_what_is_unknown_or_behind_the_camera_is_left_out(published: Publication) -> None:
     behind = PinholeCamera("c", CAMERA.intrinsics, level_pose(1.2) @ np.diag([-1.0, 1.0, -1.0, 1.0]))
-    image = drawn(Picture("camera:0", 0.4, GREY, behind), [published])
+    image = drawn(Picture("camera:0", 0.4, GREY, behind, 20.0), [published])
     assert not (image[40:] != 128).any()
-    assert (drawn(Picture("camera:0", 0.4, GREY, CAMERA), [])[:40] != 128).any()  # says that nobody is seen
+    assert (drawn(Picture("camera:0", 0.4, GREY, CAMERA, 20.0), [])[:40] != 128).any()  # says that nobody is seen
 
 
 def test_a_film_keeps_the_pictures_times_and_is_whole_at_the_end(published: Publication, tmp_path: Path) -> None:
-    movie = Movie(tmp_path / "film.mp4", 20.0)
+    movie = Movie(tmp_path / "film.mp4")
     assert isinstance(movie, Sink)
     movie.publish(published)
     for k in (0, 1, 2, 6, 7):  # four are missing
-        movie.take(Picture("camera:0", published.frame.stamp + k / 20, GREY, CAMERA))
+        movie.take(Picture("camera:0", published.frame.stamp + k / 20, GREY, CAMERA, 20.0))
     assert not (tmp_path / "film.mp4").exists()
     movie.close()
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
@@ -72,5 +72,5 @@ def test_a_film_keeps_the_pictures_times_and_is_whole_at_the_end(published: Publ
 
 
 def test_a_film_without_a_picture_leaves_no_file(tmp_path: Path) -> None:
-    Movie(tmp_path / "film.mp4", 20.0).close()
+    Movie(tmp_path / "film.mp4").close()
     assert list(tmp_path.iterdir()) == []
