@@ -1,18 +1,20 @@
 """Where a plain camera puts people: real motions, rendered as the network would give them, against where they were.
 
-python -m benchmarks.webcam --data DATA [--takes N] [--out JSON]
+python -m benchmarks.webcam --data DATA [--takes N] [--video VIDEO] [--out JSON]
 
 Landmarks are the joints of recordings (CMU, Berkeley MHAD) before a camera of 640 x 480 pixels and 65°, 1.4 m high,
 5° down, with the published errors: in the image 8 % of the torso (σ at which 95.7 % are within 20 %, MediaPipe's
 PCK@0.2), in the shape's depth 61 mm (97 mm in three dimensions, Kim et al. 2023), shapes 8 % too large or too small
 for each take. Errors last 1 s (first-order), beside jitter that was measured on a video of a photograph: 1.5 % of the
-torso in the image, 10 mm in depth.
+torso in the image, 10 mm in depth. With --video, what a picture of it costs, step by step, one after the other.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,14 +22,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.machine import facts, save
+from benchmarks.machine import facts, milliseconds, save
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.cameras.landmarker import JOINTS, Landmarks
-from kinecast.cameras.perspective import turn_towards
+from kinecast.cameras.landmarker import JOINTS, Landmarker, Landmarks
+from kinecast.cameras.overlay import Picture, drawn
+from kinecast.cameras.perspective import height_of, turn_towards
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.single_view import BODY, ScaleOptions, SingleView
+from kinecast.cameras.video import VideoStream
 from kinecast.datasets.loading import load_all
+from kinecast.datasets.model_cache import cached_model
 from kinecast.geometry.transforms import apply
+from kinecast.live.publication import Publication
+from kinecast.predictor import Predictor
 
 RATE, LONGEST = 30.0, 8.0  # pictures in a second; of a take [s]
 PIXEL, DEPTH, SCALE = 0.08, 0.061, 0.08  # standard deviations: shares of the torso and of the size; [m]
@@ -48,10 +55,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--takes", type=int, default=24)
+    parser.add_argument("--video", type=Path)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     before = facts()
     result = run(arguments.data, arguments.takes)
+    if arguments.video:
+        result["cost"] = cost(arguments.video)
     save("webcam", result, arguments.out, before)
     print(json.dumps(result, indent=1))
 
@@ -66,6 +76,32 @@ def run(data: Path, takes: int) -> dict[str, Any]:
         for angle in ANGLES
     ]
     return {"takes": len(motions), "pictures": sum(map(len, motions)), "rows": rows}
+
+
+def cost(video: Path) -> dict[str, Any]:
+    """Milliseconds by the clock of each step of a picture: network, fit and filter, prediction, drawing."""
+    stream, landmarker = VideoStream(str(video)), Landmarker(cached_model("pose-landmarker"))
+    width, height = stream.size
+    focal = width / 2 / np.tan(np.radians(65 / 2))
+    lens = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    camera = PinholeCamera("c", lens, level_pose(1.4))
+    view, predictor, rows = SingleView(camera, ScaleOptions(body=1.75)), Predictor.shipped(), []
+    for stamp, image in stream.pictures(threading.Event()):
+        times = [time.perf_counter()]
+        people = landmarker.update(image, stamp)
+        times.append(time.perf_counter())
+        frame = view.update(stamp, next(iter(people.values()))) if people else None
+        times.append(time.perf_counter())
+        if frame is not None:
+            prediction = predictor.observe(frame)
+            times.append(time.perf_counter())
+            published = Publication.of(len(rows) + 1, "c", frame, prediction, 0.95, 0.0)
+            drawn(Picture("c", stamp, image, camera, stream.rate), [published])
+            rows.append(np.diff([*times, time.perf_counter()]))
+    landmarker.close()
+    steps = np.array(rows[10:]).T
+    names = ("network", "fit_and_filter", "prediction", "drawing")
+    return {name: milliseconds(step) for name, step in zip(names, steps, strict=True)} | {"pixels": [width, height]}
 
 
 def _motions(data: Path, takes: int) -> Iterator[Float[np.ndarray, "T 12 3"]]:
@@ -143,8 +179,6 @@ class Unfiltered(SingleView):
 
 def _stature(motion: np.ndarray) -> float:
     """Height that bones of this length belong to [m]."""
-    from kinecast.cameras.perspective import height_of
-
     shape = np.full((len(JOINTS), 3), np.nan)
     shape[[JOINTS.index(joint) for joint in _SEEN]] = motion[0]
     return height_of(JOINTS, shape, np.isfinite(shape).all(axis=1))

@@ -34,7 +34,10 @@ SOURCE_FORMS = (
     "xsens://HOST:PORT?person=0, camera:NUMBER, FILE or FOLDER?body=1.75, realsense:SERIAL?model=FILE, "
     "ros1:, ros2: or dds:/TOPIC?type=PoseArray, bag:PATH?topic=/TOPIC"
 )
-SINK_FORMS = "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, mp4:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
+SINK_FORMS = (
+    "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, mp4:PATH, "
+    "ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
+)
 _ROS = ("ros1", "ros2", "dds")
 _ROS_INPUT = ("type", "joints", "person", "frame", "height", "camera")
 _ROS_OUTPUT = ("outputs", "planning_scene", "parts", "thickness")
