@@ -39,6 +39,8 @@ class VideoStream:
     Attributes:
         live: whether it is a camera: pictures are stamped as they come and a lost one can be opened anew.
         size: width and height of the pictures [px].
+        rate: pictures in a second, as far as the camera or file says.
+        lost: pictures of a folder that cannot be read or are of another size, and what a video that breaks off lacks.
 
     Raises:
         OptionError: there is no such camera, file or folder, or it gives no picture.
@@ -48,9 +50,7 @@ class VideoStream:
         self.place, self._asked = place, (size, rate)
         self.live = place.isdecimal() or place.startswith(STREAMS)
         self.rate = rate or RATE
-        self.lost = (
-            0  # pictures of a folder that cannot be read or are of another size; rest of a video that breaks off
-        )
+        self.lost = 0
         self._epoch = time.time() - time.monotonic()
         self._files: list[Path] = []
         if not self.live and Path(place).is_dir():
@@ -59,6 +59,7 @@ class VideoStream:
         if first is None:
             raise OptionError(f"camera:{place}: {self._why_none()}")
         self.size: tuple[int, int] = first[1].shape[1], first[1].shape[0]
+        self.lost = 0
 
     def pictures(self, stop: threading.Event) -> Iterator[tuple[float, Colour]]:
         """From the beginning, each with its stamp [s]: Unix time of a camera, a video's own, at the rate of a folder.
@@ -81,11 +82,11 @@ class VideoStream:
                 if picture is not None and not stop.is_set():
                     yield index / self.rate, picture
             return
-        number = int(self.place) if self.place.isdecimal() else None
-        waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, SILENT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, SILENT]
-        capture = (
-            cv2.VideoCapture(number) if number is not None else cv2.VideoCapture(self.place, cv2.CAP_FFMPEG, waits)
-        )
+        if self.place.isdecimal():
+            capture = cv2.VideoCapture(int(self.place))
+        else:
+            waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, SILENT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, SILENT]
+            capture = cv2.VideoCapture(self.place, cv2.CAP_FFMPEG, waits)
         try:
             yield from self._decoded(capture, stop)
         finally:
