@@ -24,8 +24,10 @@ try:
     from mediapipe import Image, ImageFormat
     from mediapipe.tasks.python.core.base_options import BaseOptions
     from mediapipe.tasks.python.vision import PoseLandmarker, PoseLandmarkerOptions, RunningMode
-except ImportError as error:
-    raise MissingExtraError("A plain camera", "webcam") from error
+except ModuleNotFoundError as error:
+    raise MissingExtraError("a plain camera", "webcam") from error
+except (ImportError, OSError) as error:  # its OpenCV needs libGL
+    raise OptionError(f"mediapipe cannot be loaded: {error}") from None
 
 JOINTS = MEDIAPIPE_33.joints
 LARGEST_MODEL = 64 << 20  # [bytes]; the heavy one has 31 million

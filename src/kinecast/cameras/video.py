@@ -16,8 +16,8 @@ from kinecast.errors import MissingExtraError, OptionError
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video is opened; it would print of its own
 try:
     import cv2
-except ImportError as error:
-    raise MissingExtraError("A plain camera", "webcam") from error
+except ModuleNotFoundError as error:
+    raise MissingExtraError("a plain camera", "webcam") from error
 
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 

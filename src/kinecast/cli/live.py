@@ -125,10 +125,11 @@ def live(
 def _with_defaults(sinks: Sequence[str], record: Path | None, inputs: Sequence[Endpoint]) -> Sequence[str]:
     """The sinks, with the video that is to be recorded; a camera without any has the view."""
     cameras = sum(each.kind == "camera" for each in inputs)
-    if record is not None and cameras != 1:
-        raise OptionError(f"--record {record}: records one --source camera:, and there are {cameras}")
-    recorded = () if record is None else (f"mp4:{record}",)
-    return (*sinks, *recorded) or (("view://",) if cameras else ())
+    wanted = (*sinks, *(() if record is None else (f"mp4:{record}",)))
+    film = next((each for each in wanted if each.startswith("mp4:")), None)
+    if film is not None and cameras != 1:
+        raise OptionError(f"{film}: records one --source camera:, and there are {cameras}")
+    return wanted or (("view://",) if cameras else ())
 
 
 def _open_browser(address: str) -> None:
