@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from kinecast.body.skeleton import MEDIAPIPE_33
-from kinecast.cameras.people_tracker import overlaps
+from kinecast.cameras.keypoints import overlaps
 from kinecast.errors import MissingExtraError, ModelError, OptionError
 
 try:

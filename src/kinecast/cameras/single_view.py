@@ -14,10 +14,10 @@ import numpy as np
 
 from kinecast.cameras.fusion.kalman import JointStates
 from kinecast.cameras.fusion.measurement import FUSED_JOINTS
+from kinecast.cameras.keypoints import keypoint_std
 from kinecast.cameras.landmarker import JOINTS, Landmarks
 from kinecast.cameras.perspective import height_of, translation, turn_towards
 from kinecast.cameras.pinhole import PinholeCamera
-from kinecast.cameras.pose_estimator import keypoint_std
 from kinecast.types import SkeletonFrame
 
 BODY = tuple(joint for joint in FUSED_JOINTS if joint in JOINTS)  # nose, arms and legs

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinecast.cameras.keypoints import keypoint_std
 from kinecast.cameras.landmarker import JOINTS, MOST_PEOPLE, Landmarker, Landmarks
 from kinecast.cameras.overlay import Picture, Watcher
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
-from kinecast.cameras.pose_estimator import keypoint_std
 from kinecast.cameras.rig import Rig
 from kinecast.cameras.single_view import RESTART, ScaleOptions, SingleView
 from kinecast.cameras.video import Colour, VideoStream

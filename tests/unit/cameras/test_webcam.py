@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -42,6 +44,11 @@ def wait_until(done: Callable[[], bool]) -> None:
     while not done() and time.monotonic() < end:
         time.sleep(0.01)
     assert done()
+
+
+def test_it_needs_nothing_of_other_cameras() -> None:
+    hidden = "import sys; sys.modules.update(onnxruntime=None, pyrealsense2=None)"
+    subprocess.run((sys.executable, "-c", f"{hidden}; import kinecast.cameras.webcam"), check=True, timeout=LONG)
 
 
 def test_two_people_keep_their_names(model: Path) -> None:
