@@ -26,6 +26,15 @@ def data_root() -> Path:
     return root
 
 
+@pytest.fixture(scope="session")
+def model_root() -> Path:
+    """Folder of pose models: $KINECAST_MODELS, else ../shared/models beside the checkout."""
+    root = Path(os.environ.get("KINECAST_MODELS", REPOSITORY.parent / "shared" / "models"))
+    if not (root / "pose_landmarker_full.task").is_file():
+        pytest.skip("no pose model: set KINECAST_MODELS to the folder of pose_landmarker_full.task")
+    return root
+
+
 def colours(count: int) -> np.ndarray:
     """(count, 3) red, green, blue that differ by half the range or more, none black; at most 26."""
     return np.array([rgb for rgb in itertools.product((0, 128, 255), repeat=3) if any(rgb)][:count], dtype=np.float32)

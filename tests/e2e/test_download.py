@@ -50,9 +50,25 @@ def record(root: Path, url: str, checksum: str) -> str:
 def test_lists_the_sets_with_their_licences(kinecast: Kinecast) -> None:
     outcome = kinecast("download")
     assert outcome.code == 0
-    for name in ("human-robot-animations", "human-assembly-data", "handovers", "andy"):
+    sets = ("human-robot-animations", "human-assembly-data", "handovers", "andy")
+    models = ("pose-landmarker", "rtmpose-m", "yolox-m")
+    for name in (*sets, *models):
         assert f"{name}\n  " in outcome.out
-    assert outcome.out.count("licence: ") == 4
+    assert outcome.out.count("licence: ") == len(sets) + len(models)
+
+
+def test_a_models_licence_is_printed_and_what_is_not_that_model_leaves_nothing(
+    kinecast: Kinecast, server: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, url = server
+    (root / "pose_landmarker_full.task").write_bytes(bytes(9_398_198))
+    monkeypatch.setenv("KINECAST_MODELS", str(tmp_path / "cache"))
+    outcome = kinecast("download", "pose-landmarker", "--url", url)
+    assert "licence: Apache License 2.0, The MediaPipe Authors" in outcome.out
+    assert outcome.code == 2
+    assert outcome.err.startswith("kinecast: pose_landmarker_full.task: ")
+    assert outcome.err.count("\n") == 1
+    assert not list((tmp_path / "cache").rglob("*.task"))
 
 
 def test_a_whole_record(kinecast: Kinecast, server: tuple[Path, str], tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, UInt16
 
 from kinecast.cameras.fusion.measurement import SKIN_STD, skin_depths
+from kinecast.cameras.keypoints import Keypoints
 from kinecast.cameras.pinhole import PinholeCamera
-from kinecast.cameras.pose_estimator import Keypoints
 from kinecast.live.detection import LEAST_CONFIDENCE, Detection
 from kinecast.types import SkeletonFrame
 

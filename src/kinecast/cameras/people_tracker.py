@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from kinecast.cameras.keypoints import Keypoints, overlaps
 from kinecast.cameras.onnx_model import IMAGENET_MEAN, IMAGENET_STD, ImageModel
-from kinecast.cameras.pose_estimator import Keypoints, PoseEstimator
+from kinecast.cameras.pose_estimator import PoseEstimator
 from kinecast.errors import ModelError
 
 LEAST_SCORE = 0.5
@@ -80,14 +81,6 @@ class PersonDetector:
             if not (overlaps(boxes[place], boxes[kept]) > MOST_OVERLAP).any():
                 kept.append(place)
         return boxes[kept]
-
-
-def overlaps(box: Float[np.ndarray, " 4"], others: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:
-    """(N,) intersection over union of a box with others."""
-    sides = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
-    common = np.maximum(sides, 0.0).prod(axis=1)
-    union = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1) - common
-    return common / np.maximum(union, 1e-9)
 
 
 class PeopleTracker:

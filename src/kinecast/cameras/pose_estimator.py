@@ -7,13 +7,13 @@ the box in the network's own ratio, RGB less ImageNet's mean, and for each keypo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
-from kinecast.body.skeleton import COCO_17, without_side
+from kinecast.body.skeleton import COCO_17
+from kinecast.cameras.keypoints import Keypoints, keypoint_std
 from kinecast.cameras.onnx_model import IMAGENET_MEAN, IMAGENET_STD, ImageModel
 from kinecast.errors import ModelError
 from kinecast.live.detection import LEAST_CONFIDENCE
@@ -32,29 +32,6 @@ _NAMES: dict[int, tuple[str | None, ...]] = {
 }  # fmt: skip
 """Joint of each keypoint, by how many there are; of None nothing is made."""
 
-_SPREAD = {
-    "nose": 0.026, "eye": 0.025, "ear": 0.035, "shoulder": 0.079, "elbow": 0.072, "wrist": 0.062, "hip": 0.107,
-    "knee": 0.087, "ankle": 0.089, "neck": 0.079, "pelvis": 0.107,
-}  # fmt: skip
-_OTHERS = 0.079
-"""By how much people differ who mark a keypoint, as a share of the root of the person's area: σ of COCO's keypoint
-evaluation. It has none for neck, pelvis, hands and feet: they have the shoulders' and hips', and Halpe's for feet."""
-AREA = 0.53  # of a person, as a share of their box: what mmpose takes where there is no mask
-
-
-@dataclass(frozen=True)
-class Keypoints:
-    """One person in an image."""
-
-    pixels: Float[np.ndarray, "J 2"]  # of the estimator's joints [px]; also where confidence is low
-    pixel_std: Float[np.ndarray, " J"]  # standard deviation of both coordinates [px]
-    confidence: Float[np.ndarray, " J"]  # 0..1
-
-    @property
-    def seen(self) -> Bool[np.ndarray, " J"]:
-        """(J,) True where the confidence is enough."""
-        return self.confidence >= LEAST_CONFIDENCE
-
 
 class PoseEstimator:
     """A network for 17 (COCO), 26 (Halpe) or 133 (COCO-WholeBody) keypoints, in an ONNX file, else a ModelError.
@@ -70,7 +47,6 @@ class PoseEstimator:
             raise ModelError(f"{path}: {count} keypoints; known are {known} (COCO, Halpe, COCO-WholeBody)")
         self._columns = [column for column, joint in enumerate(_NAMES[count]) if joint is not None]
         self.joints = tuple(joint for joint in _NAMES[count] if joint is not None)
-        self._spread = np.array([_SPREAD.get(without_side(joint), _OTHERS) for joint in self.joints])
 
     def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Keypoints:
         """The keypoints of whoever is in a box (left, top, right, bottom) [px] of an RGB image; or a ModelError."""
@@ -81,10 +57,8 @@ class PoseEstimator:
         outputs = self.model.run((self.model.window(image, corner, scale) - IMAGENET_MEAN) / IMAGENET_STD)
         places, confidence = self._peaks(outputs)
         pixels, confidence = corner + scale * places[self._columns], confidence[self._columns]
-        seen = pixels[confidence >= LEAST_CONFIDENCE]
-        area = AREA * np.prod(np.ptp(seen, axis=0)) if len(seen) else 0.0
-        std = np.maximum(self._spread * np.sqrt(area / 2), scale / 2)  # of one coordinate: d² is of two
-        return Keypoints(pixels, std, confidence)
+        std = keypoint_std(self.joints, pixels, confidence >= LEAST_CONFIDENCE)
+        return Keypoints(pixels, np.maximum(std, scale / 2), confidence)
 
     def _peaks(self, outputs: list[np.ndarray]) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, " K"]]:
         """Where each keypoint is in the crop [px], and the height of its peak, 0..1."""

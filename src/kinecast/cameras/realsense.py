@@ -18,6 +18,7 @@ from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_nois
 from kinecast.cameras.people_tracker import PeopleTracker, PersonDetector
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
+from kinecast.datasets.model_cache import cached_model
 from kinecast.errors import MissingExtraError, OptionError
 from kinecast.live.clock import SourceClock
 from kinecast.live.detection import Detection, DetectionHandler
@@ -145,14 +146,12 @@ class RealSenseOptions:
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> RealSenseOptions:
         """From the settings of a source, whose text is for messages; an OptionError out of range, or without model."""
-        if not settings.get("model"):
-            raise OptionError(f"{text}: model=FILE is needed, a pose estimator in ONNX (docs/cameras.md)")
         size = re.fullmatch(r"(\d{1,4})x(\d{1,4})", settings.get("size", "848x480"))
         if size is None or not all(0 < int(side) <= 4096 for side in size.groups()):
             raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as 848x480")
         detector = settings.get("detector")
         return cls(
-            Path(settings["model"]),
+            Path(settings["model"]) if settings.get("model") else cached_model("rtmpose-m"),
             Path(detector) if detector else None,
             (int(size[1]), int(size[2])),
             whole_number(settings, "rate", cls.rate, text, 1.0, 300.0),

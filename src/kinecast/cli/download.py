@@ -1,4 +1,4 @@
-"""`kinecast download`: public recordings whose licence allows it."""
+"""`kinecast download`: public recordings and models whose licence allows it."""
 
 from __future__ import annotations
 
@@ -10,23 +10,28 @@ from typing import Annotated
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from tyro.conf import Positional, arg
 
-from kinecast.cli.options import Folder, check_folder
+from kinecast.cli.options import check_folder
 from kinecast.cli.progress import CONSOLE
 from kinecast.datasets.download import download as fetch
 from kinecast.datasets.download import public_sets
+from kinecast.datasets.model_cache import cache_folder, fetch_model
+
+OutFolder = Annotated[
+    Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: recordings; of models the cache folder)")
+]
 
 
 def download(
     name: Positional[Annotated[str | None, arg(metavar="[NAME]", help_behavior_hint="")]] = None,
-    out: Folder = Path("recordings"),
+    out: OutFolder = None,
     only: Annotated[str, arg(metavar="PATTERN")] = "*",
     url: Annotated[str | None, arg(metavar="URL", help_behavior_hint="")] = None,
 ) -> None:
-    """Downloads a public set of recordings, checked and resumable; without a name, lists the sets.
+    """Downloads a public set of recordings or a model, checked and resumable; without a name, lists them.
 
     Args:
-        name: of the set.
-        out: folder for the set's own folder.
+        name: of the set or model.
+        out: folder for the set's own folder, or for the model.
         only: which files, as a pattern on their names, e.g. "PickPlace*".
         url: fetch from this address, e.g. a mirror, instead of the set's own.
     """
@@ -34,9 +39,19 @@ def download(
         for each in public_sets().values():
             print(f"{each.name}\n  {each.about}\n  licence: {each.licence}; see {each.home}")
         return
+    sets = public_sets()
+    is_model = name in sets and sets[name].model is not None
+    out = out or (cache_folder() if is_model else Path("recordings"))
     check_folder(out)
+    if is_model:
+        print(f"{sets[name].about}\nlicence: {sets[name].licence}; see {sets[name].home}")
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
     bars = Progress(*columns, console=CONSOLE, transient=True, disable=not CONSOLE.is_terminal)
+    if is_model:
+        with _without_empty_folders(out.absolute()), bars as progress:
+            path = fetch_model(name, out, progress, url)
+        print(f"{name}: {path}")
+        return
     with _without_empty_folders((out / name).absolute()), bars as progress:
         files = fetch(name, out / name, progress, only, url)
     print(f"{len(files)} file{'s' * (len(files) != 1)} in {out / name}")

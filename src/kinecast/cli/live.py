@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import signal
+import sys
 import threading
+import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from rich.logging import RichHandler
 from tyro.conf import UseAppendAction, arg
@@ -21,16 +24,22 @@ from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.predictor import Predictor, PredictorOptions
 
+if TYPE_CHECKING:
+    from kinecast.cameras.overlay import Watcher
+    from kinecast.cli.live_opening import Endpoint
+
 _ONCE_OR_MORE = "(once or more)"
 Texts = UseAppendAction[tuple[str, ...]]
 Sources = Annotated[Texts, arg(name="source", metavar="SOURCE", help_behavior_hint=_ONCE_OR_MORE)]
 Sinks = Annotated[Texts, arg(name="sink", metavar="SINK", help_behavior_hint=_ONCE_OR_MORE)]
+MovieFile = Annotated[Path | None, arg(metavar="FILE.mp4", help_behavior_hint="(default: none)")]
 RigFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: no fusion)")]
 
 
 def live(
     sources: Sources,
-    sinks: Sinks,
+    sinks: Sinks = (),
+    record: MovieFile = None,
     model: ModelFile = None,
     scene: OptionalFile = None,
     rig: RigFile = None,
@@ -43,10 +52,12 @@ def live(
     Args:
         sources: a recording's path, recording:PATH?speed=2&repeat=1 to play it faster or again, ws://HOST:PORT or
             udp://HOST:PORT to listen for skeletons (docs/live.md), xsens://HOST:9763?person=0 for Xsens MVN
-            (docs/mocap.md); without a HOST only this machine is heard. realsense:SERIAL?model=FILE is a camera
+            (docs/mocap.md); without a HOST only this machine is heard. camera:0 is a webcam, camera:FILE a video and
+            camera:FOLDER pictures; realsense:SERIAL?model=FILE is a camera with depth
             (docs/cameras.md); ros1:, ros2: or dds:/TOPIC?type=PoseArray and bag:PATH are ROS (docs/ros.md).
         sinks: view://HOST:PORT to see it in a browser, ws://HOST:PORT to send predictions to all who connect, mcap:FILE
-            for Foxglove, jsonl:FILE, ros1:, ros2: or dds:/NAMESPACE, bag:PATH.
+            for Foxglove, jsonl:FILE, ros1:, ros2: or dds:/NAMESPACE, bag:PATH. Without any, camera: opens view://.
+        record: a video of the camera's picture with what is predicted drawn in it.
         model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles and goals, a YAML file.
         rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
@@ -56,7 +67,7 @@ def live(
     """
     from kinecast.cameras.fused_source import FusedSource
     from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
-    from kinecast.cli.live_opening import open_sink, open_source, read_sink, read_source
+    from kinecast.cli.live_opening import TakesPictures, open_sink, open_source, read_sink, read_source
     from kinecast.live.loop import Live
     from kinecast.live.mailbox import Mailbox
     from kinecast.live.network import Network
@@ -67,12 +78,13 @@ def live(
     if not 0 < level < 1:
         raise OptionError(f"--level {level} is outside 0..1")
     inputs = [read_source(each) for each in _once("--source", sources)]
-    outputs = [read_sink(each) for each in _once("--sink", sinks)]
+    outputs = [read_sink(each) for each in _once("--sink", _with_defaults(sinks, record, inputs))]
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
     first = read_predictor(model, obstacles, options)
     mailbox = Mailbox()
+    watchers: list[Watcher] = []
     opened_sources: list[Source] = []
     opened_sinks: list[Sink] = []
     # At the end sources are closed first, then sinks, then the network that they run in.
@@ -83,10 +95,11 @@ def live(
         if fused is not None:
             opened_sources.append(close_sources.enter_context(closing(fused)))
         for each in inputs:
-            source = open_source(each, mailbox, network, fused)
+            source = open_source(each, mailbox, network, fused, watchers)
             opened_sources.append(close_sources.enter_context(closing(source)))
         for each in sorted(outputs, key=lambda each: each.replaces_file):
             opened_sinks.append(close_sinks.enter_context(closing(open_sink(each, network, obstacles))))
+        watchers += [sink.take for sink in opened_sinks if isinstance(sink, TakesPictures)]
         loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
         stop = last.enter_context(_until_told())  # until here, Ctrl-C ends it in the middle of what it opens
         for source in opened_sources:
@@ -97,6 +110,8 @@ def live(
         gc.collect()
         gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
         last.callback(gc.unfreeze)
+        if not sinks and record is None:
+            _open_browser(opened_sinks[0].address)
         with shown(loop):
             for source in opened_sources:
                 source.start()
@@ -105,6 +120,22 @@ def live(
     failures = [sink.counters.failure for sink in opened_sinks if sink.counters.failure is not None]
     if failures:
         raise OSError("; ".join(failures))
+
+
+def _with_defaults(sinks: Sequence[str], record: Path | None, inputs: Sequence[Endpoint]) -> Sequence[str]:
+    """The sinks, with the video that is to be recorded; a camera without any has the view."""
+    cameras = sum(each.kind == "camera" for each in inputs)
+    wanted = (*sinks, *(() if record is None else (f"mp4:{record}",)))
+    film = next((each for each in wanted if each.startswith("mp4:")), None)
+    if film is not None and cameras != 1:
+        raise OptionError(f"{film}: records one --source camera:, and there are {cameras}")
+    return wanted or (("view://",) if cameras else ())
+
+
+def _open_browser(address: str) -> None:
+    """Shows a page where there is a screen to show it on."""
+    if sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        webbrowser.open(address)
 
 
 def _once(option: str, texts: Sequence[str]) -> Sequence[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from kinecast.cli.options import check_file
 from kinecast.cli.recordings import one_scene, read_recordings
@@ -25,14 +25,18 @@ from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
     from kinecast.cameras.fused_source import FusedSource
+    from kinecast.cameras.overlay import Picture, Watcher
+    from kinecast.cameras.pinhole import Intrinsics
+    from kinecast.cameras.webcam import WebcamSource
 
 SOURCE_FORMS = (
     "a recording's path, recording:PATH?speed=2&repeat=1, ws://HOST:PORT, udp://HOST:PORT, "
-    "xsens://HOST:PORT?person=0, realsense:SERIAL?model=FILE, "
+    "xsens://HOST:PORT?person=0, camera:NUMBER, FILE or FOLDER?body=1.75, realsense:SERIAL?model=FILE, "
     "ros1:, ros2: or dds:/TOPIC?type=PoseArray, bag:PATH?topic=/TOPIC"
 )
 SINK_FORMS = (
-    "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
+    "view://HOST:PORT, ws://HOST:PORT?format=json, mcap:PATH, jsonl:PATH, mp4:PATH, "
+    "ros1:, ros2: or dds:/NAMESPACE, bag:PATH"
 )
 _ROS = ("ros1", "ros2", "dds")
 _ROS_INPUT = ("type", "joints", "person", "frame", "height", "camera")
@@ -43,6 +47,21 @@ SOURCE_SETTINGS = {
     "ws": ("camera",),
     "udp": ("camera",),
     "xsens": ("person", "up", "stamps"),
+    "camera": (
+        "model",
+        "people",
+        "size",
+        "rate",
+        "fov",
+        "lens",
+        "tilt",
+        "height",
+        "body",
+        "feet",
+        "confidence",
+        "speed",
+        "camera",
+    ),
     "realsense": ("model", "detector", "size", "rate", "tilt", "height", "camera"),
     "ros1": _ROS_INPUT,
     "ros2": _ROS_INPUT,
@@ -54,6 +73,7 @@ SINK_SETTINGS: Mapping[str, tuple[str, ...]] = {
     "ws": ("format",),
     "mcap": (),
     "jsonl": (),
+    "mp4": (),
     "ros1": _ROS_OUTPUT,
     "ros2": _ROS_OUTPUT,
     "dds": (*_ROS_OUTPUT, *_DDS),
@@ -63,6 +83,13 @@ SINK_SETTINGS: Mapping[str, tuple[str, ...]] = {
 _DEFAULT_PORTS = {"ws": None, "udp": None, "xsens": DEFAULT_PORT, "view": 8080}
 """Of the kinds that are addresses; None where a port is needed."""
 _FILES: Mapping[str, type[FileSink]] = {"mcap": McapSink, "jsonl": JsonlSink}
+
+
+@runtime_checkable
+class TakesPictures(Protocol):
+    """A sink that shows a camera's pictures too."""
+
+    def take(self, picture: Picture) -> None: ...  # neither waits nor raises
 
 
 @dataclass(frozen=True)
@@ -88,7 +115,7 @@ class Endpoint:
     @property
     def replaces_file(self) -> bool:
         """Whether a sink begins with an empty file: opened last, so that none is lost where another cannot be."""
-        return self.kind in (*_FILES, "bag")
+        return self.kind in (*_FILES, "mp4", "bag")
 
 
 def read_source(text: str) -> Endpoint:
@@ -111,7 +138,7 @@ def read_sink(text: str) -> Endpoint:
     wrong = f"--sink {text}: expected {SINK_FORMS}"
     sink = _endpoint(text, SINK_SETTINGS, wrong)
     choice(sink.settings, "format", ("json", "msgpack"), text)
-    if sink.kind in _FILES:
+    if sink.kind in (*_FILES, "mp4"):
         if not sink.place:
             raise OptionError(wrong)
         check_file(sink.path, (f".{sink.kind}",), "--sink")
@@ -136,6 +163,7 @@ def open_source(
     mailbox: Mailbox,
     network: Network,
     fused: FusedSource | None,
+    watchers: Sequence[Watcher] = (),
 ) -> Source:
     """Opens a source with a feed of its own in the mailbox; network sources listen at once.
 
@@ -143,6 +171,7 @@ def open_source(
         source: which.
         mailbox, network: for its frames, and that it runs in.
         fused: takes what cameras of the rig see; None without a rig.
+        watchers: take a plain camera's pictures.
 
     Raises:
         OptionError, DatasetError, ModelError: it cannot be opened.
@@ -153,6 +182,8 @@ def open_source(
         return RecordedSource(text, mailbox.feed(text), _recorded(source), speed, repeat)
     if source.kind == "realsense":
         return _open_realsense(source, mailbox, fused)
+    if source.kind == "camera":
+        return _open_webcam(source, mailbox, fused, watchers)
     feed = mailbox.feed(text)
     if source.kind == "xsens":
         return UdpSource(source.address, feed, network, XsensGuard(feed, XsensOptions.parse(settings, text)))
@@ -184,13 +215,30 @@ def _open_realsense(source: Endpoint, mailbox: Mailbox, fused: FusedSource | Non
     name = f"realsense:{source.place}"
     feed = mailbox.feed(name)
     opened = RealSenseSource(name, feed, str(source.place), options, _handler(source, feed, fused))
+    _check_size(source, opened.intrinsics, fused)
+    return opened
+
+
+def _open_webcam(
+    source: Endpoint, mailbox: Mailbox, fused: FusedSource | None, watchers: Sequence[Watcher]
+) -> WebcamSource:
+    from kinecast.cameras.webcam import WebcamOptions, WebcamSource
+
+    options = WebcamOptions.parse(source.settings, source.text)
+    name = f"camera:{source.place}"
+    feed = mailbox.feed(name)
+    opened = WebcamSource(name, feed, str(source.place), options, watchers, _handler(source, feed, fused))
+    _check_size(source, opened.intrinsics, fused)
+    return opened
+
+
+def _check_size(source: Endpoint, found: Intrinsics, fused: FusedSource | None) -> None:
+    """Raises OptionError unless a camera of the rig gives images of the size that it was calibrated with."""
     if fused is not None and "camera" in source.settings:
         calibrated = fused.rig.cameras[source.settings["camera"]].intrinsics
-        found = opened.intrinsics
         if (found.width, found.height) != (calibrated.width, calibrated.height):
             sizes = f"{found.width}x{found.height} pixels, and the rig's camera {calibrated.width}x{calibrated.height}"
             raise OptionError(f"{source.text}: its images have {sizes}")
-    return opened
 
 
 def _handler(source: Endpoint, feed: Feed, fused: FusedSource | None) -> DetectionHandler | None:
@@ -207,6 +255,10 @@ def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> S
     """Opens a sink, in the network where it needs one; OptionError where it cannot be. Views draw the scene."""
     if sink.kind in _FILES:
         return _FILES[sink.kind](sink.path)
+    if sink.kind == "mp4":
+        from kinecast.cameras.movie import Movie  # here, since cameras are an extra
+
+        return Movie(sink.path)
     if sink.kind == "ws":
         return WebSocketSink(sink.address, network, sink.settings.get("format") == "msgpack")
     if sink.kind == "view":

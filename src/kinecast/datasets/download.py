@@ -1,4 +1,4 @@
-"""Public recordings whose licence allows it, downloaded: resumed where they broke off, checked, inside their folder."""
+"""Public recordings and models, downloaded: resumed where they broke off, checked, inside their folder."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ UNSAFE = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
 
 @dataclass(frozen=True)
 class PublicSet:
-    """A set of recordings on the net."""
+    """A set of recordings, or a model, on the net."""
 
     name: str
     about: str  # one line
@@ -44,6 +44,8 @@ class PublicSet:
     url: str  # its files stand under it; of its record where there is no list of files
     files: Mapping[str, Mapping[str, str | int]] | None
     """Name to sha256 and bytes, from verified copies; None for a Zenodo record, which lists its own."""
+    model: Mapping[str, str | int] | None = None
+    """Name, sha256 and bytes of the network that is the file, or in it (model_cache); None of recordings."""
 
 
 @dataclass(frozen=True)

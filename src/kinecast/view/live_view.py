@@ -6,7 +6,7 @@ import html
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,10 +25,15 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the browser view", "view") from error
 
+if TYPE_CHECKING:
+    from kinecast.cameras.overlay import Picture
+
 __all__ = ["LiveView"]
 
 REST, PATIENCE = 0.025, 0.012
 """Between two pictures [s]; after that the next prediction is drawn as it comes, or, after so long, the last one."""
+PICTURE_REST = 0.1
+"""Between two pictures of a camera [s]."""
 GONE = 1.0
 """A person without a newer prediction for so long is drawn no more [s]."""
 MOST_SHOWN = 16
@@ -57,6 +62,8 @@ class LiveView:
         self._stage = _Stage(self._server, scene)
         self._waiting: dict[tuple[str, str], Publication] = {}
         self._shown: dict[tuple[str, str], tuple[Publication, float]] = {}
+        self._pictures: dict[str, Picture] = {}  # of each source, until it is shown
+        self._pictured = -np.inf  # when a picture was last shown [s]
         self._lock = threading.Lock()
         self._arrived = threading.Event()
         self._closing = threading.Event()
@@ -68,6 +75,11 @@ class LiveView:
         with self._lock:
             self.counters.drop(publication.key in self._waiting)
             self._waiting[publication.key] = publication
+        self._arrived.set()
+
+    def take(self, picture: Picture) -> None:
+        """A camera's picture: the newest is shown beside, with what is predicted drawn in it; never waits."""
+        self._pictures[picture.source] = picture
         self._arrived.set()
 
     def close(self) -> None:
@@ -89,6 +101,18 @@ class LiveView:
                 self.counters.drop(len(newest))
                 for key in newest:  # else what cannot be drawn would keep others from being drawn
                     self._shown.pop(key, None)
+            self.counters.attempt(self._picture, time.monotonic())
+
+    def _picture(self, now: float) -> None:
+        """Shows the newest picture of each camera, ten times a second."""
+        if self._pictures and now - self._pictured >= PICTURE_REST:
+            from kinecast.cameras.overlay import drawn  # here, since OpenCV is another extra
+
+            self._pictured = now
+            shown = [publication for publication, _ in self._shown.values()]
+            for source in list(self._pictures):
+                picture = self._pictures.pop(source)
+                self._stage.picture(source, drawn(picture, [each for each in shown if each.source == source]))
 
     def _refresh(self, newest: Mapping[tuple[str, str], Publication], now: float) -> None:
         gone = [key for key, (_, since) in self._shown.items() if now - since > GONE]
@@ -123,6 +147,7 @@ class _Stage:
             "/region/arms", np.zeros((0, 2, 3), dtype=np.float32), np.zeros((0, 2, 3), dtype=np.uint8), thickness=0.008
         )
         self._aimed = False
+        self._pictures: dict[str, Any] = {}
         self._words = server.gui.add_html(_words([]))
 
     def show(self, publications: Sequence[Publication]) -> None:
@@ -143,6 +168,13 @@ class _Stage:
             self._arms.points = np.concatenate([points for points, _ in lines])
             self._arms.colors = np.concatenate([colours for _, colours in lines])
         self._words.content = _words(publications)
+
+    def picture(self, source: str, image: np.ndarray) -> None:
+        """A camera's picture, beside."""
+        if source in self._pictures:
+            self._pictures[source].image = image
+        else:
+            self._pictures[source] = self._server.gui.add_image(image, label=source, format="jpeg", jpeg_quality=80)
 
     def _aim(self, body: np.ndarray) -> None:
         """Looks at the first person, once."""

@@ -340,7 +340,7 @@ def test_a_camera_of_another_size_than_the_rigs_is_refused(
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        ("realsense:", "model=FILE is needed"),
+        ("realsense:", "fetch it once with: kinecast download rtmpose-m"),
         ("realsense:?model=none.onnx", "none.onnx: No such file or directory"),
         ("realsense:?model=none.onnx&camera=left", "a camera needs --rig"),
         (
@@ -353,6 +353,7 @@ def test_the_command_refuses_what_cannot_be(
     source: str, words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     arguments = ["live", "--source", source, "--model", str(MODEL), "--sink", f"jsonl:{tmp_path / 'out.jsonl'}"]
+    monkeypatch.setenv("KINECAST_MODELS", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["kinecast", *arguments])
     with pytest.raises(SystemExit) as end:
         main()
@@ -432,7 +433,7 @@ def test_a_camera_or_recording_that_is_not_there_is_named(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({}, "model=FILE is needed"),
+        ({}, "fetch it once with: kinecast download rtmpose-m"),
         ({"model": "m", "size": "big"}, "size 'big', expected a size such as 848x480"),
         ({"model": "m", "rate": "0"}, "rate '0' is outside 1..300"),
         ({"model": "m", "rate": "29.7"}, "rate '29.7' is no whole number"),
@@ -440,7 +441,10 @@ def test_a_camera_or_recording_that_is_not_there_is_named(tmp_path: Path) -> Non
         ({"model": "m", "height": "high"}, "height 'high' is no number"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(settings: dict[str, str], words: str) -> None:
+def test_settings_that_cannot_be_are_refused(
+    settings: dict[str, str], words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("KINECAST_MODELS", str(tmp_path))
     with pytest.raises(OptionError) as caught:
         RealSenseOptions.parse(settings, "realsense:")
     assert words in str(caught.value)

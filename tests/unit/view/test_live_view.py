@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.cameras.overlay import Picture
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from kinecast.geometry.transforms import transform
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import Sink
 from kinecast.predictor import Predictor, PredictorOptions
@@ -98,6 +101,22 @@ def test_what_cannot_be_drawn_is_counted_and_the_next_is_drawn(
     view.publish(publication(predictor, 2))
     settled(view, 2)
     assert (view.counters.published, view.counters.dropped) == (1, 1)
+
+
+def test_a_cameras_picture_is_shown_beside_with_what_is_predicted(view: LiveView, predictor: Predictor) -> None:
+    intrinsics = Intrinsics(320, 240, 250.0, 250.0, 159.5, 119.5)
+    camera = PinholeCamera("camera", intrinsics, level_pose(1.2) @ transform(np.eye(3), np.array([0.0, 0.0, -2.0])))
+    grey = np.full((240, 320, 3), 128, dtype=np.uint8)
+    view.publish(publication(predictor, 1))
+    settled(view, 1)
+    end = time.monotonic() + 240.0
+    while "camera" not in view._stage._pictures and time.monotonic() < end:
+        view.take(Picture("camera", 1.0, grey, camera, 30.0))
+        time.sleep(0.01)
+    shown = view._stage._pictures["camera"].image
+    assert shown.shape == grey.shape
+    assert (shown[60:] != 128).any()
+    assert view.counters.failure is None
 
 
 def test_it_listens_on_this_machine_and_a_taken_port_is_named(view: LiveView) -> None:

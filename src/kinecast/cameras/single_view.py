@@ -1,0 +1,124 @@
+"""One person before one camera without depth, over time: landmarks to a skeleton in the room, and how unsure it is.
+
+Across the ray a joint is where its pixel is. Along the ray it is where the shape stands (`perspective.translation`),
+times the body's scale: stated height over the height of the shape's bones, or the camera's height over how far below
+it the feet are. An error of scale or focal length moves the whole person along the ray and stays; it is in
+`covariance`, not in `std`, which says how unsure joints are of each other and is what widens a prediction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinecast.cameras.fusion.kalman import JointStates
+from kinecast.cameras.fusion.measurement import FUSED_JOINTS
+from kinecast.cameras.keypoints import keypoint_std
+from kinecast.cameras.landmarker import JOINTS, Landmarks
+from kinecast.cameras.perspective import height_of, translation, turn_towards
+from kinecast.cameras.pinhole import PinholeCamera
+from kinecast.types import SkeletonFrame
+
+BODY = tuple(joint for joint in FUSED_JOINTS if joint in JOINTS)  # nose, arms and legs
+_ROWS = np.array([JOINTS.index(joint) for joint in BODY])
+_COLUMNS = np.array([FUSED_JOINTS.index(joint) for joint in BODY])
+_HIPS = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
+_FEET = [JOINTS.index(f"{side}_{part}") for side in ("left", "right") for part in ("heel", "foot")]
+
+DEPTH_STD = 0.06
+"""Error of a joint's depth within the shape [m]: 97 mm of a joint in three dimensions, by 1.6 for one (Kim et al. 2023,
+Human Pose Estimation Using MediaPipe Pose and Optimization Method Based on a Humanoid Model)."""
+STATED_STD, FLOOR_STD, UNKNOWN_STD = 0.03, 0.05, 0.08
+"""Relative errors of the scale: bones of people of one height differ by so much; a camera's tilt that is 1° off at 3 m;
+statures differ by 5.5 %, and the network's guess by as much again."""
+JITTER, DEPTH_JITTER = 0.3, 0.02
+"""What changes from image to image: share of a pixel's error, and of the depth (docs/decisions/0026)."""
+SOLE = 0.03  # heel and toe landmarks above the floor [m]
+LEAST_DROP = 0.5  # feet that are less below the camera say nothing of the scale [m]
+SETTLED = 300  # images over which the scale is averaged
+SHOWN = 0.15  # a joint that was not seen for so long [s] is not given
+RESTART = 1.0  # after so long without an image [s] nothing of before holds
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """What is known of a person's size; nothing: the network's own guess."""
+
+    body: float | None = None  # height of everybody [m]
+    feet_on_floor: bool = False  # somebody's lower foot stands at z = 0
+    focal_std: float = 0.0  # relative error of the focal length
+    least_confidence: float = 0.3  # from which a joint counts as seen
+
+
+class SingleView:
+    """What is known of one person; the camera stands in a z-up world."""
+
+    def __init__(self, camera: PinholeCamera, options: ScaleOptions) -> None:
+        self._camera, self._options = camera, options
+        self._states: JointStates | None = None
+        self._scale, self._scales = 0.0, 0  # log, and from how many images
+        known = STATED_STD if options.body else FLOOR_STD if options.feet_on_floor else UNKNOWN_STD
+        self._depth_share = float(np.hypot(known, options.focal_std))
+
+    def update(self, stamp: float, person: Landmarks, name: str = "0") -> SkeletonFrame | None:
+        """The skeleton at the stamp [s] of an image; None where the person cannot be placed."""
+        camera = self._camera
+        directions = camera.intrinsics.directions(person.pixels)
+        shape = person.shape @ turn_towards(directions[_HIPS].mean(axis=0)).T
+        seen = person.seen(self._options.least_confidence)[_ROWS] & np.isfinite(directions[_ROWS]).all(axis=1)
+        unsure = 1 / np.maximum(person.confidence[_ROWS], self._options.least_confidence or 1.0)
+        pixel_std = keypoint_std(BODY, person.pixels[_ROWS], seen) * unsure
+        focal = camera.intrinsics.fx
+        rows = _ROWS[seen]
+        fit = translation(shape[rows], directions[rows], pixel_std[seen] / focal)
+        if fit is None:
+            return None
+        t, covariance = fit
+        self._follow_scale(person, shape + t, directions)
+        scale = np.exp(self._scale)
+        depth = scale * (shape[_ROWS, 2] + t[2])
+        points = camera.back_project(person.pixels[_ROWS], depth)
+        jitter = camera.covariance(points, JITTER * pixel_std, DEPTH_JITTER * depth)
+        states = self._filtered(stamp, points, jitter, seen)
+        own = camera.covariance(points, pixel_std, np.full(len(points), DEPTH_STD))
+        common = np.hypot(scale * np.sqrt(covariance[2, 2]), self._depth_share * depth)
+        whole = camera.covariance(points, pixel_std, np.hypot(DEPTH_STD, common))
+        shown = states.seen_within(SHOWN)[_COLUMNS]
+        filtered = states.covariance[_COLUMNS, :3, :3]
+        std = np.sqrt(np.trace(filtered + own, axis1=1, axis2=2) / 3)
+        positions = np.where(shown[:, None], states.mean[_COLUMNS, 0], np.nan)
+        return SkeletonFrame(stamp, BODY, positions, name, std=std, covariance=filtered + whole)
+
+    def _filtered(self, stamp: float, points: np.ndarray, jitter: np.ndarray, seen: np.ndarray) -> JointStates:
+        """All joints after this image: one filter a joint, wide along the ray and narrow across it."""
+        if self._states is None or not 0 <= stamp - self._states.stamp <= RESTART:
+            self._states = JointStates(stamp)
+        states = self._states
+        states.advance(stamp)
+        columns = _COLUMNS[seen]
+        places, covariance = np.full((len(FUSED_JOINTS), 3), np.nan), np.tile(np.eye(3), (len(FUSED_JOINTS), 1, 1))
+        places[columns], covariance[columns] = points[seen], jitter[seen]
+        told = np.isin(np.arange(len(FUSED_JOINTS)), columns)
+        known = told & states.known
+        information = np.where(known[:, None, None], np.linalg.inv(covariance), 0.0)
+        off = np.where(known[:, None], places - states.mean[:, 0], 0.0)
+        states.correct(np.array([stamp]), information[None], np.einsum("jxy,jy->jx", information, off)[None])
+        states.start(told & ~states.known, places, covariance)
+        states.seen_at[told] = stamp
+        return states
+
+    def _follow_scale(self, person: Landmarks, local: np.ndarray, directions: np.ndarray) -> None:
+        """Averages what this image says of the scale; `local` (33, 3) is in the camera's axes, unscaled [m]."""
+        options, seen = self._options, person.seen(self._options.least_confidence)
+        measured = np.nan
+        if options.body:
+            measured = options.body / height_of(JOINTS, person.shape, seen)
+        elif options.feet_on_floor and seen[_FEET].all():
+            feet = directions[_FEET] * local[_FEET, 2:]
+            T = self._camera.T_world_camera
+            drop = -(np.column_stack([feet, local[_FEET, 2]]) @ T[2, :3]).min()
+            measured = (T[2, 3] - SOLE) / drop if drop > LEAST_DROP else np.nan
+        if 0.5 < measured < 2.0:  # NaN is not
+            self._scales = min(self._scales + 1, SETTLED)
+            self._scale += (float(np.log(measured)) - self._scale) / self._scales

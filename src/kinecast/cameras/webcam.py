@@ -1,0 +1,220 @@
+"""A plain camera, a video or pictures as a source: nothing but pictures, MediaPipe's landmarks and a stated size."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinecast.cameras.keypoints import keypoint_std
+from kinecast.cameras.landmarker import JOINTS, MOST_PEOPLE, Landmarker, Landmarks
+from kinecast.cameras.overlay import Picture, Watcher
+from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
+from kinecast.cameras.rig import Rig
+from kinecast.cameras.single_view import RESTART, ScaleOptions, SingleView
+from kinecast.cameras.video import Colour, VideoStream
+from kinecast.datasets.model_cache import cached_model
+from kinecast.errors import OptionError
+from kinecast.live.detection import LEAST_CONFIDENCE, Detection, DetectionHandler
+from kinecast.live.mailbox import Feed
+from kinecast.live.settings import choice, number, whole_number
+
+MODEL = "pose-landmarker"
+FIELD_OF_VIEW = 65.0  # of most webcams, from the left edge to the right [deg]: makers give 60 to 70
+UNSTATED_STD, STATED_STD = 0.10, 0.02  # relative errors of the focal length
+RETRY = 1.0  # before a camera that is lost is opened anew [s]
+CLOSING = 5.0  # longest wait for the end [s]
+
+
+@dataclass(frozen=True)
+class WebcamOptions:
+    """How a camera is used."""
+
+    model: Path
+    people: int = 1  # at most so many are followed
+    size: tuple[int, int] | None = None  # asked of a webcam [px]
+    rate: float | None = None  # pictures in a second, asked of a webcam, and of a folder
+    fov: float | None = None  # from the left edge to the right [deg]
+    lens: Path | None = None  # a rig file with one camera, whose lens it has
+    tilt: float = 0.0  # by how much the camera looks down [deg]
+    height: float = 0.0  # of the camera above the world's origin [m]
+    body: float | None = None  # height of everybody who comes [m]
+    feet_on_floor: bool = False  # the scale is taken from where feet stand
+    confidence: float = LEAST_CONFIDENCE  # from which a joint counts as seen
+    speed: float = 1.0  # of a file or folder; 2 plays it twice as fast
+
+    @classmethod
+    def parse(cls, settings: Mapping[str, str], text: str) -> WebcamOptions:
+        """From the settings of a source, whose text is for messages; an OptionError for what does not fit."""
+        size = re.fullmatch(r"([1-9]\d{1,3})x([1-9]\d{1,3})", settings.get("size", "640x480"))
+        if size is None:
+            raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as 640x480")
+        feet = choice(settings, "feet", ("floor",), text) == "floor"
+        height = number(settings, "height", cls.height, text, -10.0, 10.0)
+        if feet and height < 0.5:
+            raise OptionError(f"{text}: feet=floor needs the camera's height=, 0.5 m or more above the floor")
+        if feet and "body" in settings:
+            raise OptionError(f"{text}: body= and feet=floor both say how large people are: give one")
+        if "fov" in settings and "lens" in settings:
+            raise OptionError(f"{text}: fov= and lens= both say what the lens is: give one")
+        return cls(
+            Path(settings["model"]) if settings.get("model") else cached_model(MODEL),
+            whole_number(settings, "people", cls.people, text, 1.0, float(MOST_PEOPLE)),
+            (int(size[1]), int(size[2])) if "size" in settings else None,
+            number(settings, "rate", 30.0, text, 1.0, 300.0) if "rate" in settings else None,
+            number(settings, "fov", FIELD_OF_VIEW, text, 10.0, 150.0) if "fov" in settings else None,
+            Path(settings["lens"]) if settings.get("lens") else None,
+            number(settings, "tilt", cls.tilt, text, -90.0, 90.0),
+            height,
+            number(settings, "body", 1.7, text, 0.8, 2.5) if "body" in settings else None,
+            feet,
+            number(settings, "confidence", cls.confidence, text, 0.0, 1.0),
+            number(settings, "speed", cls.speed, text, 0.01, 100.0),
+        )
+
+    def intrinsics(self, size: tuple[int, int]) -> Intrinsics:
+        """Of pictures of a size [px]; an OptionError where the lens file is of others."""
+        width, height = size
+        if self.lens is None:
+            focal = width / 2 / np.tan(np.radians(self.fov or FIELD_OF_VIEW) / 2)
+            return Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+        found = [each.intrinsics for each in Rig.load(self.lens).cameras.values()]
+        if len(found) != 1 or (found[0].width, found[0].height) != size:
+            sizes = ", ".join(f"{each.width}x{each.height}" for each in found)
+            raise OptionError(f"lens={self.lens}: expected one camera of {width}x{height} pixels, found {sizes}")
+        return found[0]
+
+    @property
+    def scale(self) -> ScaleOptions:
+        """What is known of sizes."""
+        focal_std = 0.0 if self.lens else STATED_STD if self.fov else UNSTATED_STD
+        return ScaleOptions(self.body, self.feet_on_floor, focal_std, self.confidence)
+
+
+class WebcamSource:
+    """Finds people in the newest picture, in a thread of its own; another reads pictures; a lost camera is opened anew.
+
+    The handler takes what is seen; without, skeletons go to the feed, in a world that begins below the camera. Every
+    picture that was looked at goes to the watchers. An OptionError where there is no such camera (see VideoStream), a
+    ModelError for a bad network.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        feed: Feed,
+        place: str,
+        options: WebcamOptions,
+        watchers: Sequence[Watcher] = (),
+        handler: DetectionHandler | None = None,
+    ) -> None:
+        self.stream = VideoStream(place, options.size, options.rate)
+        self._landmarker = Landmarker(options.model, options.people)
+        self.address, self.intrinsics = name, options.intrinsics(self.stream.size)
+        pose = level_pose(options.height, float(np.radians(options.tilt)))
+        self._camera = PinholeCamera(name, self.intrinsics, pose)
+        self._feed, self._options, self._watchers, self._handler = feed, options, watchers, handler
+        self._views: dict[str, tuple[SingleView, float]] = {}
+        self._newest: tuple[float, Colour, float] | None = None
+        self._changed = threading.Condition()
+        self._stop = threading.Event()
+        self._ended = False
+        self._threads = [threading.Thread(target=each, name=name, daemon=True) for each in (self._read, self._run)]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        with self._changed:
+            self._changed.notify()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(CLOSING)
+        self._landmarker.close()
+
+    def _read(self) -> None:
+        """Holds the newest picture; one that nobody looked at in time is counted as stale."""
+        while not self._stop.is_set():
+            try:
+                self._read_once()
+            except Exception as problem:  # of OpenCV, the camera, the file: none may end the others
+                self._feed.refuse(f"{type(problem).__name__}: {problem}")
+            if not self.stream.live or self._stop.wait(RETRY):
+                break
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+
+    def _read_once(self) -> None:
+        begun, first = time.monotonic(), None
+        for stamp, picture in self.stream.pictures(self._stop):
+            arrived = time.monotonic()
+            if not self.stream.live:
+                first = stamp if first is None else first
+                arrived = begun + (stamp - first) / self._options.speed
+                if self._stop.wait(max(arrived - time.monotonic(), 0.0)):
+                    return
+            with self._changed:
+                missed = self._newest is not None
+                self._feed.received += missed
+                self._feed.superseded += missed
+                self._newest = stamp, picture, arrived
+                self._changed.notify()
+
+    def _run(self) -> None:
+        looked_at = placed = 0
+        while not self._stop.is_set():
+            with self._changed:
+                if self._newest is None and not self._ended:
+                    self._changed.wait()
+                newest, self._newest = self._newest, None
+            if newest is None:
+                if self._ended:
+                    break
+                continue
+            try:
+                placed += self._look(*newest)
+            except Exception as problem:  # of MediaPipe
+                self._feed.refuse(f"{type(problem).__name__}: {problem}")
+            looked_at += 1
+        unread = f"{self.stream.lost} pictures could not be read" if self.stream.lost else ""
+        nobody = f"nobody was seen in {looked_at} pictures" if looked_at and not placed else ""
+        if unread or nobody:
+            self._feed.refuse(", ".join(filter(None, (unread, nobody))))
+        self._feed.end()
+
+    def _look(self, stamp: float, picture: Colour, acquired: float) -> int:
+        """How many people were placed."""
+        people = self._landmarker.update(picture, stamp)
+        if self._handler is not None:
+            self._handler(stamp, [self._detection(stamp, name, each) for name, each in people.items()], acquired)
+            frames = []
+        else:
+            views = {name: self._views[name][0] if name in self._views else self._view() for name in people}
+            frames = [views[name].update(stamp, person, name) for name, person in people.items()]
+            kept = {name: known for name, known in self._views.items() if stamp - known[1] <= RESTART}
+            self._views = kept | {name: (view, stamp) for name, view in views.items()}
+        for watcher in self._watchers:
+            watcher(Picture(self._feed.name, stamp, picture, self._camera, self.stream.rate))
+        for frame in frames:
+            if frame is not None:
+                self._feed.put(frame, acquired, 1.0 if self.stream.live else self._options.speed)
+        return len(people)
+
+    def _view(self) -> SingleView:
+        return SingleView(self._camera, self._options.scale)
+
+    def _detection(self, stamp: float, name: str, person: Landmarks) -> Detection:
+        """For the fusion: pixels, and no depth."""
+        seen = person.seen(self._options.confidence)
+        pixels = np.where(seen[:, None], person.pixels, np.nan)
+        nothing = np.full(len(JOINTS), np.nan)
+        std = keypoint_std(JOINTS, person.pixels, seen)
+        return Detection(stamp, self.address, JOINTS, pixels, std, nothing, nothing, person.confidence, name)
