@@ -1,16 +1,23 @@
 """A UR controller as RTDE shows it, to try `kinecast.robot.ur_driver` on; it runs the very program that the arm would.
 
+python -m benchmarks.rtde_server [--rate 125|500]
+
+prints its port, and goes on until its input ends: then what it has counted, as JSON.
+
 Made from Universal Robots' RTDE Guide, version 2 of the protocol. Cycles come in real time; the arm's joints follow
 servoj's target with a lag; safety stops, pauses, late packages and hang-ups are had by setting attributes.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
 import re
 import select
 import socket
 import struct
+import sys
 import threading
 import time
 from collections import deque
@@ -35,9 +42,24 @@ TYPES = {
     "actual_digital_output_bits": "UINT64", "output_int_register_24": "INT32", "output_int_register_25": "INT32",
     "input_int_register_24": "INT32", "input_int_register_25": "INT32",
     **{f"input_double_register_{k}": "DOUBLE" for k in range(24, 30)},
-    **{f"{bank}_digital_output{end}": "UINT8" for bank in ("standard", "configurable", "tool") for end in ("", "_mask")},
+    **{f"{bank}_digital_output": "UINT8" for bank in ("standard", "configurable", "tool")},
+    **{f"{bank}_digital_output_mask": "UINT8" for bank in ("standard", "configurable", "tool")},
 }  # fmt: skip
 FORMATS = {"DOUBLE": "d", "VECTOR6D": "6d", "INT32": "i", "UINT32": "I", "UINT64": "Q", "UINT8": "B"}
+
+
+READY = (-0.9, -1.5, -1.6, -1.6, 1.57, 0.0)
+"""Elbow up, the tool over the table [rad]."""
+
+
+def main() -> None:
+    """Serves."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rate", type=float, default=125.0)
+    with Controller(parser.parse_args().rate, READY, UR5()) as controller:
+        print(controller.port, flush=True)
+        sys.stdin.read()
+        print(json.dumps(controller.counts()))
 
 
 class ProgramStopped(Exception):  # noqa: N818 - nothing went wrong
@@ -98,18 +120,23 @@ class Controller:
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join(5)
-        self.hang_up()
-        self._listener.close()
+        for link in (self._listener, *(client.link for client in self._clients)):
+            link.close()
 
     def hang_up(self) -> None:
         """Ends every connection."""
         for client in self._clients:
-            client.link.close()
-        self._clients = []
+            client.link.shutdown(socket.SHUT_RDWR)
 
     def play(self) -> None:
         """What the button on the pendant does."""
         self.safety, self.runtime_state = NORMAL, PLAYING
+
+    def counts(self) -> dict[str, float]:
+        """What became of its cycles; lateness in milliseconds."""
+        p50, p99, most = np.percentile(self.lateness, [50, 99, 100]) * 1e3
+        counts = {name: getattr(self, name) for name in ("cycle", "starved", "doubled", "skipped")}
+        return {**counts, "late_p50_ms": p50, "late_p99_ms": p99, "late_most_ms": most}
 
     def run(self) -> None:
         """Until the end: the program where it is to be played, else nothing."""
@@ -123,6 +150,7 @@ class Controller:
             "servoj": self._servoj, "stopj": self._stopj, "sync": self._step,
         }  # fmt: skip
         exec(compile(source, "kinecast_ur.script", "exec"), commands)
+        self._values(["actual_TCP_pose"])  # compiled now, not in the first cycle
         self._due = time.monotonic()
         while not self._ended.is_set():
             with suppress(ProgramStopped):
@@ -196,6 +224,7 @@ class Controller:
         content = client.link.recv(65536)
         if not content:
             self._clients.remove(client)
+            client.link.close()
             return
         client.rest += content
         while len(client.rest) >= 3 and len(client.rest) >= (size := struct.unpack_from(">H", client.rest)[0]):
@@ -246,3 +275,7 @@ class Controller:
     @staticmethod
     def _package(kind: str, payload: bytes) -> bytes:
         return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
+
+
+if __name__ == "__main__":
+    main()

@@ -1,37 +1,29 @@
-"""A real Universal Robots arm (CB3, e-Series) as a `Driver`, by the controller's Real-Time Data Exchange.
+"""A real Universal Robots arm (CB3, e-Series) as a `Driver`; on its controller runs `data/kinecast_ur.script`.
 
-Protocol: Universal Robots, Real-Time Data Exchange (RTDE) Guide, version 2 of the protocol. On the controller runs
-`data/kinecast_ur.script`. Why neither is a library: docs/decisions/0027. How to set it up: docs/ur.md.
+How to set it up: docs/ur.md. What was decided: docs/decisions/0027.
 """
 
 from __future__ import annotations
 
 import itertools
-import select
-import socket
-import struct
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import ArmError, OptionError
 from kinecast.robot.driver import ArmState
+from kinecast.robot.rtde import PORT, Reading, Rtde
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["PORT", "ArmStatus", "CycleCounters", "Reading", "Rtde", "UrDriver"]
+__all__ = ["ArmStatus", "CycleCounters", "UrDriver", "trouble"]
 
-PORT = 30004
-RATES = {"CB3": 125.0, "e-Series": 500.0}
-"""Of the controllers' real-time loops [Hz]."""
-PATIENCE = 0.05
-"""After so long without the other side [s] an arm that has to be told again stands; the program's own is the same."""
+PATIENCE = 0.1
+"""After so long without the other side [s] an arm that has to be told again stands; so does the program's own."""
 LEAD = 0.4
-"""Farthest a target may be ahead of the arm, in any joint [rad]: at full speed, pi rad/s, servoj is about 0.3 behind."""
+"""Farthest a target may be ahead of the arm in any joint [rad]; at pi rad/s servoj is about 0.3 behind."""
 FIRST = 1.0
 """Longest wait for the first state [s]."""
 LATE = 2.0
@@ -42,18 +34,6 @@ STANDS, FOLLOWS = 2701, 2702
 """What `kinecast_ur.script` writes into output_int_register_24."""
 PLAYING, RUNNING = 2, 7
 """Values of runtime_state and robot_mode (RTDE Guide)."""
-TOO_LONG = 65536
-"""Bytes read at once, at most eight times: 5 s of states."""
-
-OUTPUTS = (
-    "timestamp", "actual_q", "actual_TCP_pose", "target_speed_fraction", "speed_scaling", "robot_mode", "runtime_state",
-    "safety_status_bits", "actual_digital_output_bits", "output_int_register_24", "output_int_register_25",
-)  # fmt: skip
-_TYPES = {
-    "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
-    "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
-}  # fmt: skip
-_HEADER = struct.Struct(">HB")
 
 
 class ArmStatus(Enum):
@@ -83,178 +63,15 @@ _SAFETY = (
 emergency stops, 8 violation, 9 fault, 10 stopped for safety's sake. Bits 0 and 1 are normal and reduced mode."""
 
 
-@dataclass(frozen=True)
-class Reading:
-    """What the controller says in one of its cycles.
-
-    Attributes:
-        stamp: on the controller's clock [s].
-        q: (6,) [rad]; tool: (6,) position [m] and rotation vector [rad] of the TCP in the base's frame.
-        speed_fraction: speed slider times the controller's own scaling, 0..1.
-        robot_mode, runtime_state, safety, outputs: as in the RTDE Guide.
-        program: what `kinecast_ur.script` says it does; echo: the counter that it has seen.
-    """
-
-    stamp: float
-    q: Float[np.ndarray, "6"]
-    tool: Float[np.ndarray, "6"]
-    speed_fraction: float
-    robot_mode: int
-    runtime_state: int
-    safety: int
-    outputs: int
-    program: int
-    echo: int
-
-    @classmethod
-    def of(cls, values: Sequence[Any]) -> Reading:
-        """From the values of `OUTPUTS`."""
-        stamp, q, tool, (slider, scaling) = values[0], values[1:7], values[7:13], values[13:15]
-        return cls(stamp, np.array(q), np.array(tool), min(max(slider * scaling, 0.0), 1.0), *values[15:])
-
-    @property
-    def trouble(self) -> ArmStatus | None:
-        """Why the arm cannot move, whoever tells it to."""
-        for bits, status in _SAFETY:
-            if self.safety & bits:
-                return status
-        if self.robot_mode != RUNNING:
-            return ArmStatus.SWITCHED_OFF
-        ours = self.runtime_state == PLAYING and self.program in (STANDS, FOLLOWS)
-        return None if ours else ArmStatus.NO_PROGRAM
-
-
-class Rtde:
-    """One connection. Opening it takes up to `timeout` and raises; after that nothing waits and nothing raises.
-
-    Args:
-        host, port: of the controller.
-        inputs: names of what will be written; none for a connection that changes nothing on the controller.
-        timeout: for the whole opening [s].
-
-    Attributes:
-        version: of the controller's software; rate: of its cycles [Hz].
-
-    Raises:
-        ArmError: nobody is there, or speaks another protocol, or a name is unknown or already written by another.
-    """
-
-    def __init__(self, host: str, port: int = PORT, inputs: Sequence[str] = (), timeout: float = 2.0) -> None:
-        self._where, self._rest = f"{host}:{port}", b""
-        self._deadline = time.monotonic() + timeout
-        try:
-            self._socket: socket.socket | None = socket.create_connection((host, port), timeout)
-        except OSError as error:
-            raise ArmError(f"{self._where}: cannot be reached ({error})") from None
-        try:
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if not self._ask(b"V", struct.pack(">H", 2))[0]:
-                raise ArmError(f"{self._where}: speaks no version 2 of RTDE; CB3 needs software 3.9 or newer")
-            self.version: tuple[int, ...] = struct.unpack(">4I", self._ask(b"v"))
-            self.rate = RATES["CB3" if self.version[0] < 5 else "e-Series"]
-            self._outputs = self._recipe(b"O", OUTPUTS, struct.pack(">d", self.rate))
-            self._inputs = self._recipe(b"I", inputs) if inputs else None
-            if not self._ask(b"S")[0]:
-                raise ArmError(f"{self._where}: does not start to send")
-            self._socket.setblocking(False)
-        except (OSError, struct.error, IndexError) as error:
-            self.close()
-            if isinstance(error, ArmError):
-                raise
-            raise ArmError(f"{self._where}: does not answer as RTDE ({error})") from None
-
-    @property
-    def closed(self) -> bool:
-        """Whether the connection is gone."""
-        return self._socket is None
-
-    def close(self) -> None:
-        """Ends it; also twice."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    def wait(self, seconds: float) -> None:
-        """Until something has come, or so long."""
-        if self._socket is None:
-            time.sleep(seconds)
-        else:
-            select.select([self._socket], [], [], seconds)
-
-    def readings(self) -> list[Reading]:
-        """What has come since the last call, oldest first."""
-        for _ in range(8):
-            try:
-                content = self._socket.recv(TOO_LONG) if self._socket else b""
-            except BlockingIOError:
-                break
-            except OSError:
-                content = b""
-            if not content:
-                self.close()
-                break
-            self._rest += content
-            if len(content) < TOO_LONG:
-                break
-        found = []
-        while (package := self._package()) is not None:
-            kind, payload = package
-            if kind == b"U" and len(payload) == self._outputs.size and payload[0] == self._recipe_id:
-                found.append(Reading.of(self._outputs.unpack(payload)[1:]))
-        return found
-
-    def send(self, *values: float) -> None:
-        """Writes the inputs, whole or not at all; a controller that takes nothing any more is lost."""
-        if self._socket is None or self._inputs is None:
-            return
-        payload = self._inputs.pack(self._inputs_id, *values)
-        package = _HEADER.pack(_HEADER.size + len(payload), ord("U")) + payload
-        try:
-            if self._socket.send(package) < len(package):
-                self.close()
-        except OSError:
-            self.close()
-
-    def _package(self) -> tuple[bytes, bytes] | None:
-        """The next that has come whole: its kind and what is in it."""
-        if len(self._rest) < _HEADER.size:
-            return None
-        size, kind = _HEADER.unpack_from(self._rest)
-        if size < _HEADER.size:  # no package is as short: from here on nothing can be understood
-            self.close()
-            self._rest = b""
-        if len(self._rest) < max(size, _HEADER.size):
-            return None
-        payload, self._rest = self._rest[_HEADER.size : size], self._rest[size:]
-        return bytes([kind]), payload
-
-    def _ask(self, kind: bytes, payload: bytes = b"") -> bytes:
-        """A question of the opening, and its answer."""
-        assert self._socket is not None
-        self._socket.sendall(_HEADER.pack(_HEADER.size + len(payload), ord(kind)) + payload)
-        while (package := self._package()) is None or package[0] != kind:
-            if package is None:
-                content = b""
-                if self._socket is not None:
-                    self._socket.settimeout(max(self._deadline - time.monotonic(), 1e-3))
-                    content = self._socket.recv(TOO_LONG)
-                if not content:
-                    raise ArmError(f"{self._where}: does not answer as RTDE")
-                self._rest += content
-        return package[1]
-
-    def _recipe(self, kind: bytes, names: Sequence[str], before: bytes = b"") -> struct.Struct:
-        """Agrees on what is sent, or written."""
-        answer = self._ask(kind, before + ",".join(names).encode())
-        types = answer[1:].decode("ascii", "replace").split(",")
-        wrong = [f"{name} ({each})" for name, each in zip(names, types, strict=False) if each not in _TYPES]
-        if wrong or len(types) != len(names):
-            raise ArmError(f"{self._where}: does not give {', '.join(wrong) or 'what it is asked for'}")
-        if kind == b"O":
-            self._recipe_id = answer[0]
-        else:
-            self._inputs_id = answer[0]
-        return struct.Struct(">B" + "".join(_TYPES[each] for each in types))
+def trouble(reading: Reading) -> ArmStatus | None:
+    """Why the arm cannot move, whoever tells it to; None where it can."""
+    for bits, status in _SAFETY:
+        if reading.safety & bits:
+            return status
+    if reading.robot_mode != RUNNING:
+        return ArmStatus.SWITCHED_OFF
+    ours = reading.runtime_state == PLAYING and reading.program in (STANDS, FOLLOWS)
+    return None if ours else ArmStatus.NO_PROGRAM
 
 
 @dataclass
@@ -292,7 +109,7 @@ class UrDriver:
 
     Attributes:
         status: see ArmStatus; counters: see CycleCounters.
-        reading: the newest state.
+        reading: the newest state; sent: (6,) the newest target [rad].
 
     Raises:
         ArmError: see Rtde.
@@ -325,7 +142,7 @@ class UrDriver:
             rtde.wait(0.1)
         self._rtde, self.reading, self.status = rtde, readings[-1], ArmStatus.WAITING
         self._offset = time.monotonic() - self.reading.stamp
-        self._target = self.reading.q
+        self.sent = self.reading.q
 
     @property
     def dt(self) -> float:
@@ -364,9 +181,9 @@ class UrDriver:
             if self.age > LATE * self.dt:
                 self.counters.late += 1
             else:
-                self._target = self._towards(q)
+                self.sent = self._towards(q)
         self._send()
-        return self._target.copy()
+        return self.sent.copy()
 
     def grip(self, closed: bool) -> None:
         """Closes or opens the gripper with the next target; not while the arm is to stand."""
@@ -385,11 +202,9 @@ class UrDriver:
         if self._rtde.closed:
             self._connect()
         self._look()
-        trouble = self.reading.trouble
-        if trouble is None and self.age > PATIENCE:
-            trouble = ArmStatus.LATE
-        self.status = trouble or ArmStatus.OK
-        self._target, self._order, self._grip = self.reading.q, next(self._orders), None
+        late = ArmStatus.LATE if self.age > PATIENCE else None
+        self.status = trouble(self.reading) or late or ArmStatus.OK
+        self.sent, self._order, self._grip = self.reading.q, next(self._orders), None
         self._since = time.monotonic()
         return self.status
 
@@ -422,8 +237,8 @@ class UrDriver:
             silent = time.monotonic() - self._since > 2 * PATIENCE and (
                 reading.program != FOLLOWS or self._counter - reading.echo > PATIENCE * self._rtde.rate
             )
-            if reading.trouble is not None:
-                self._stop(reading.trouble)
+            if (problem := trouble(reading)) is not None:
+                self._stop(problem)
             elif self.age > PATIENCE:
                 self._stop(ArmStatus.LATE)
             elif silent:
@@ -433,17 +248,17 @@ class UrDriver:
         """Stops the arm where it is told to be where it may not."""
         low, high = self._arm.q_range.T
         inside = np.shape(q) == (6,) and bool(np.isfinite(q).all() and (q >= low).all() and (q <= high).all())
-        ahead = np.abs(np.stack([q - self._target, self._target - self.reading.q])).max() if inside else np.inf
+        ahead = np.abs(np.stack([q - self.sent, self.sent - self.reading.q])).max() if inside else np.inf
         if ahead > LEAD:
             self._stop(ArmStatus.REFUSED)
 
     def _towards(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
         """As far on the straight way to q as all joints can go in a cycle."""
-        step = q - self._target
+        step = q - self.sent
         furthest = self._arm.max_speed * self.dt * self.reading.speed_fraction
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.nanmin(np.append(furthest / np.abs(step), 1.0))
-        return self._target + share * step
+        return self.sent + share * step
 
     def _stop(self, status: ArmStatus) -> None:
         """Tells the arm to stand, at once."""
@@ -456,7 +271,7 @@ class UrDriver:
         order = self._order if self.status is ArmStatus.OK else 0
         bit = 1 << self._gripper % 8
         outputs = (0, 0) if self._grip is None or not order else (bit, bit * self._grip)
-        self._rtde.send(self._counter & 0x7FFFFFFF, order, *self._target.tolist(), *outputs)
+        self._rtde.send(self._counter & 0x7FFFFFFF, order, *self.sent.tolist(), *outputs)
         self._grip = None
         self.counters.sent += self._unserved
         self._news = self._unserved = False
