@@ -25,7 +25,7 @@ PATIENCE = 0.1
 LEAD = 0.4
 """Farthest a target may be ahead of the arm in any joint [rad]; at pi rad/s servoj is about 0.3 behind."""
 FIRST = 1.0
-"""Longest wait for the first state [s]."""
+"""Longest wait for the first state, and for an arm to come to rest [s]."""
 LATE = 2.0
 """Cycles after which a state is too old for another target."""
 DRIFT = 1e-3
@@ -177,7 +177,7 @@ class UrDriver:
         self._look()
         if self.status is ArmStatus.OK:
             self._check(q)
-        if self.status is ArmStatus.OK:
+        if self.status is ArmStatus.OK and self._unserved:  # one step a cycle, however often it is called
             if self.age > LATE * self.dt:
                 self.counters.late += 1
             else:
@@ -191,7 +191,7 @@ class UrDriver:
             self._grip = closed
 
     def resume(self) -> ArmStatus:
-        """Says that the arm may move again, from where it is; connects again first where that is needed.
+        """Says that the arm may move again, from where it is; connects again, and waits for it to be at rest, first.
 
         Returns:
             OK, or why it still may not.
@@ -202,8 +202,16 @@ class UrDriver:
         if self._rtde.closed:
             self._connect()
         self._look()
-        late = ArmStatus.LATE if self.age > PATIENCE else None
-        self.status = trouble(self.reading) or late or ArmStatus.OK
+        if self.status is ArmStatus.OK:
+            return self.status
+        deadline = time.monotonic() + FIRST
+        while not (problem := trouble(self.reading)) and self.reading.program == FOLLOWS:
+            if time.monotonic() > deadline:
+                problem = ArmStatus.NO_PROGRAM
+                break
+            self._rtde.wait(self.dt)
+            self._look()
+        self.status = problem or (ArmStatus.LATE if self.age > PATIENCE else ArmStatus.OK)
         self.sent, self._order, self._grip = self.reading.q, next(self._orders), None
         self._since = time.monotonic()
         return self.status

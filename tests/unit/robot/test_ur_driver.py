@@ -195,6 +195,20 @@ def test_the_speed_slider_is_honoured(controller: Controller, driver: UrDriver, 
     assert (targets == targets[0]).all()
 
 
+def test_a_target_goes_on_once_a_cycle_however_often_it_is_called(
+    controller: Controller, driver: UrDriver, arm: UR5
+) -> None:
+    moving(driver, controller)
+    driver.wait()
+    before, cycle = driver.sent, driver.counters.cycles
+    for _ in range(100):
+        driver.move(before + 0.1)
+    furthest = arm.max_speed * driver.dt * (driver.counters.cycles - cycle + 1)
+    assert (np.abs(driver.sent - before) <= furthest + 1e-12).all()
+    assert driver.resume() is driver.status  # of an arm that moves nothing changes
+    assert (driver.sent == driver.move(driver.sent)).all()
+
+
 @pytest.mark.parametrize(
     "wrong", [HOME * np.nan, HOME + 7.0, HOME + 2 * LEAD, np.zeros(5)], ids=["nan", "range", "far", "shape"]
 )
