@@ -32,7 +32,7 @@ from benchmarks.machine import facts, milliseconds, save
 from benchmarks.rtde_server import READY
 from kinecast.robot.cell import Cell
 from kinecast.robot.ur5 import UR5
-from kinecast.robot.ur_driver import ArmStatus, UrDriver
+from kinecast.robot.ur_driver import ArmStatus, CycleCounters, UrDriver
 
 SHARE = 0.6
 """Of the arm's speed, acceleration and jerk."""
@@ -86,6 +86,9 @@ def drive(driver: UrDriver, arm: UR5, seconds: float) -> tuple[list[float], list
     limits = (arm.max_speed, arm.max_acceleration, arm.max_jerk)
     wish.max_velocity, wish.max_acceleration, wish.max_jerk = ((SHARE * each).tolist() for each in limits)
     way = postures(arm)
+    driver.wait()
+    driver.move(driver.sent)
+    driver.counters = CycleCounters()
     until, arrived = time.monotonic() + seconds, True
     while time.monotonic() < until:
         if driver.status is not ArmStatus.OK:
