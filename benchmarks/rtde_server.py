@@ -254,7 +254,9 @@ class Controller:
             before = self.registers["input_int_register_24"]
             values = struct.unpack(">" + "".join(FORMATS[TYPES[name]] for name in client.inputs), payload[1:])
             self.registers.update(zip(client.inputs, values, strict=True))
-            self.doubled += bool(self.targets) and before != self._seen and self.registers["input_int_register_24"] != before
+            self.doubled += (
+                bool(self.targets) and before != self._seen and self.registers["input_int_register_24"] != before
+            )
             for shift, bank in ((0, "standard"), (8, "configurable"), (16, "tool")):
                 mask = int(self.registers[f"{bank}_digital_output_mask"]) << shift
                 self.digital = self.digital & ~mask | int(self.registers[f"{bank}_digital_output"]) << shift & mask

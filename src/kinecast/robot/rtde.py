@@ -6,11 +6,12 @@ and 5.3 (e-Series), the first whose registers 24 to 47 are for clients like this
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,8 @@ __all__ = ["PORT", "Reading", "Rtde"]
 PORT = 30004
 RATES = {"CB3": 125.0, "e-Series": 500.0}
 """Of the controllers' real-time loops [Hz]."""
+LONGEST = 1e9
+"""Seconds that no controller has been running."""
 AT_ONCE = 65536
 """Bytes read at once, at most eight times: 5 s of states."""
 
@@ -31,6 +34,7 @@ OUTPUTS = (
     "timestamp", "actual_q", "actual_TCP_pose", "target_speed_fraction", "speed_scaling", "robot_mode", "runtime_state",
     "safety_status_bits", "actual_digital_output_bits", "output_int_register_24", "output_int_register_25",
 )  # fmt: skip
+_VECTORS = ("actual_q", "actual_TCP_pose")
 _TYPES = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
     "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
@@ -141,51 +145,53 @@ class Rtde:
             if len(content) < AT_ONCE:
                 break
         found = []
-        while (package := self._package()) is not None:
-            kind, payload = package
+        for kind, payload in self._packages():
             if kind == b"U" and len(payload) == self._outputs.size and payload[0] == self._recipe_id:
-                found.append(Reading.of(self._outputs.unpack(payload)[1:]))
+                values = self._outputs.unpack(payload)[1:]
+                if math.isfinite(sum(values)) and abs(values[0]) < LONGEST:
+                    found.append(Reading.of(values))
         return found
 
     def send(self, *values: int | float) -> None:
         """Writes the inputs, whole or not at all; a controller that takes nothing any more is lost."""
         if self._socket is None or self._inputs is None:
             return
-        payload = self._inputs.pack(self._inputs_id, *values)
-        package = _HEADER.pack(_HEADER.size + len(payload), ord("U")) + payload
         try:
+            payload = self._inputs.pack(self._inputs_id, *values)
+            package = _HEADER.pack(_HEADER.size + len(payload), ord("U")) + payload
             if self._socket.send(package) < len(package):
                 self.close()
-        except OSError:
+        except (OSError, struct.error):
             self.close()
 
-    def _package(self) -> tuple[bytes, bytes] | None:
-        """The next that has come whole: its kind and what is in it."""
-        if len(self._rest) < _HEADER.size:
-            return None
-        size, kind = _HEADER.unpack_from(self._rest)
-        if size < _HEADER.size:  # no package is as short: from here on nothing can be understood
-            self.close()
-            self._rest = b""
-        if len(self._rest) < max(size, _HEADER.size):
-            return None
-        payload, self._rest = self._rest[_HEADER.size : size], self._rest[size:]
-        return bytes([kind]), payload
+    def _packages(self) -> Iterator[tuple[bytes, bytes]]:
+        """Those that have come whole: the kind of each, and what is in it."""
+        at, rest, self._rest = 0, self._rest, b""
+        while len(rest) - at >= _HEADER.size:
+            size, kind = _HEADER.unpack_from(rest, at)
+            if size < _HEADER.size:  # no package is as short: from here on nothing can be understood
+                self.close()
+                return
+            if len(rest) - at < size:
+                break
+            yield bytes([kind]), rest[at + _HEADER.size : at + size]
+            at += size
+        self._rest = rest[at:]
 
-    def _ask(self, kind: bytes, payload: bytes = b"") -> bytes:
+    def _ask(self, question: bytes, payload: bytes = b"") -> bytes:
         """A question of the opening, and its answer."""
         assert self._socket is not None
-        self._socket.sendall(_HEADER.pack(_HEADER.size + len(payload), ord(kind)) + payload)
-        while (package := self._package()) is None or package[0] != kind:
-            if package is None:
-                content = b""
-                if self._socket is not None:
-                    self._socket.settimeout(max(self._deadline - time.monotonic(), 1e-3))
-                    content = self._socket.recv(AT_ONCE)
-                if not content:
-                    raise ArmError(f"{self._where}: does not answer as RTDE")
-                self._rest += content
-        return package[1]
+        self._socket.sendall(_HEADER.pack(_HEADER.size + len(payload), ord(question)) + payload)
+        while self._socket is not None and (left := self._deadline - time.monotonic()) > 0:
+            self._socket.settimeout(left)
+            content = self._socket.recv(AT_ONCE)
+            self._rest += content
+            for kind, answer in list(self._packages()):
+                if kind == question:
+                    return answer
+            if not content:
+                break
+        raise ArmError(f"{self._where}: does not answer as RTDE")
 
     def _recipe(self, kind: bytes, names: Sequence[str], before: bytes = b"") -> struct.Struct:
         """Agrees on what is sent, or written."""
@@ -194,8 +200,11 @@ class Rtde:
         wrong = [f"{name} ({each})" for name, each in zip(names, types, strict=False) if each not in _TYPES]
         if wrong or len(types) != len(names):
             raise ArmError(f"{self._where}: does not give {', '.join(wrong) or 'what it is asked for'}")
+        recipe = struct.Struct(">B" + "".join(_TYPES[each] for each in types))
+        if len(recipe.unpack(bytes(recipe.size))) != 1 + sum(6 if name in _VECTORS else 1 for name in names):
+            raise ArmError(f"{self._where}: gives {', '.join(map(' as '.join, zip(names, types, strict=True)))}")
         if kind == b"O":
             self._recipe_id = answer[0]
         else:
             self._inputs_id = answer[0]
-        return struct.Struct(">B" + "".join(_TYPES[each] for each in types))
+        return recipe

@@ -257,7 +257,7 @@ class UrDriver:
         low, high = self._arm.q_range.T
         inside = np.shape(q) == (6,) and bool(np.isfinite(q).all() and (q >= low).all() and (q <= high).all())
         ahead = np.abs(np.stack([q - self.sent, self.sent - self.reading.q])).max() if inside else np.inf
-        if ahead > LEAD:
+        if not ahead <= LEAD:
             self._stop(ArmStatus.REFUSED)
 
     def _towards(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:

@@ -247,6 +247,11 @@ def test_what_is_no_controller_is_said_at_once(arm: UR5, monkeypatch: pytest.Mon
     with Controller(500.0, READY, arm) as controller:
         with closing(UrDriver(arm, "127.0.0.1", controller.port)), pytest.raises(ArmError, match="IN_USE"):
             UrDriver(arm, "127.0.0.1", controller.port)
+        until(lambda: not controller._clients)
+        with monkeypatch.context() as patch:
+            patch.setitem(rtde_server.TYPES, "actual_q", "DOUBLE")
+            with pytest.raises(ArmError, match="actual_q as DOUBLE"):
+                Rtde("127.0.0.1", controller.port)
         monkeypatch.delitem(rtde_server.TYPES, "speed_scaling")
         with pytest.raises(ArmError, match=r"speed_scaling \(NOT_FOUND\)"):
             Rtde("127.0.0.1", controller.port)
@@ -275,7 +280,16 @@ def test_foreign_servers_are_refused(answer: bytes) -> None:
 def test_rubbish_in_the_stream_ends_the_connection(controller: Controller, driver: UrDriver) -> None:
     moving(driver, controller)
     controller.silent = True
-    controller._clients[0].waiting.append((0.0, struct.pack(">HB", 1, 85)))
+    client = controller._clients[0]
+    nan = struct.pack(">HBBd", 12, 85, 1, np.nan)
+    size = 4 + struct.calcsize(">d6d6d2diIIQii")
+    nan = struct.pack(">HBB", size, 85, 1) + nan[4:] + bytes(size - 12)
+    before = driver.reading
+    client.waiting.extend([(0.0, nan), (0.0, struct.pack(">HB", 4, 77) + b"x")])  # a state of NaN, a message
+    driver.wait(0.05)
+    assert np.isfinite(driver.reading.stamp)
+    assert driver.reading.stamp - before.stamp < 1.0
+    client.waiting.append((0.0, struct.pack(">HB", 1, 85)))
     until(lambda: driver.status is not ArmStatus.OK, driver)
     assert driver.status in (ArmStatus.DISCONNECTED, ArmStatus.LATE)
     run(driver, 2)
