@@ -56,7 +56,7 @@ def main() -> None:
     versions = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', metadata)
     found = {version: path for version in versions if (path := interpreter(version))}
     found.setdefault(".".join(map(str, sys.version_info[:2])), sys.executable)
-    for version, path in found.items():
+    for path in found.values():
         with tempfile.TemporaryDirectory() as folder:
             check(path, wheel, Path(folder))
     missing = [version for version in versions if version not in found]
