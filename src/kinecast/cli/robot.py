@@ -79,6 +79,8 @@ def robot(
     if move and source is None:
         raise OptionError("--move: needs --source, the skeletons of who is beside the arm")
     check_seed(seed)
+    if not np.isfinite(base).all():
+        raise OptionError(f"--base {' '.join(map(str, base))}: must be finite")
     host, port, arm = found[1].strip("[]"), int(found[2] or PORT), UR5()
     checks = check_arm(arm, host, port)
     for check in checks:
@@ -247,16 +249,24 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
     from kinecast.robot.ur_driver import ArmStatus
 
     cell = Cell()
+
+    class SliderExecutor(Executor):
+        """Goes on as slowly as the speed slider says, so that the arm can follow."""
+
+        def step(self, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return super().step(scale * driver.reading.speed_fraction)
+
     per_step = max(round(STEP / driver.dt), 1)
     q = driver.state().q
     with closing(ThreadDesk(planner_of(Planner(arm, cell.scene, QUICK)))) as desk:
-        supervisor = Supervisor(arm, cell, Executor(arm, per_step * driver.dt, q), desk)
-        closed = driver.state().closed
+        supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), desk)
+        closed, newest = driver.state().closed, 0.0
         driver.resume()
         while driver.status is ArmStatus.OK and not supervisor.done:
             now = time.monotonic()
-            for frame, prediction in people.seen():
-                supervisor.see(Shot(frame.stamp, now, (frame,)), [prediction], now)
+            for frame, prediction in people.seen():  # a shot each: two of one instant would pass for the same one
+                newest = max(frame.stamp, newest + 1e-6)
+                supervisor.see(Shot(newest, now, (frame,)), [prediction], now)
             command = supervisor.control(now)
             if command.news:
                 yield f"{command.decision.state.name.lower():10}  {command.decision.reason}"
