@@ -81,7 +81,7 @@ def run(rate: float, seconds: float) -> dict[str, Any]:
 
 def drive(driver: UrDriver, arm: UR5, seconds: float) -> tuple[list[float], list[float], dict[str, int], int]:
     """Leads the arm; how far it is behind [rad], how long each step takes [s], what stopped it, cubes moved."""
-    lags, waits, stops, cubes = [0.0], [0.0], Counter[str](), 0
+    lags, waits, stops, cubes = list[float](), list[float](), Counter[str](), 0
     motion, wish, place = ruckig.Ruckig(6, driver.dt), ruckig.InputParameter(6), ruckig.OutputParameter(6)
     limits = (arm.max_speed, arm.max_acceleration, arm.max_jerk)
     wish.max_velocity, wish.max_acceleration, wish.max_jerk = ((SHARE * each).tolist() for each in limits)

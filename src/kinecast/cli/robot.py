@@ -203,6 +203,11 @@ class People:
             closing_.callback(self._ended.set)
             self._closing = closing_.pop_all()
 
+    @property
+    def ended(self) -> bool:
+        """Whether nothing will come any more."""
+        return self._mailbox.finished and not self._seen
+
     def close(self) -> None:
         """Ends the source."""
         self._closing.close()
@@ -238,7 +243,7 @@ def warm_up(samples: int) -> None:
 
 
 def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
-    """The cell's episode by a real arm, to its end or until the arm has to stand; what is decided, in lines."""
+    """The cell's episode by a real arm, while there is a source and nothing stops it; what is decided, in lines."""
     from kinecast.robot.camera import Shot
     from kinecast.robot.cell import Cell
     from kinecast.robot.execution import Executor
@@ -262,7 +267,7 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
         supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), desk)
         closed, newest = driver.state().closed, 0.0
         driver.resume()
-        while driver.status is ArmStatus.OK and not supervisor.done:
+        while driver.status is ArmStatus.OK and not supervisor.done and not people.ended:
             now = time.monotonic()
             for frame, prediction in people.seen():  # a shot each: two of one instant would pass for the same one
                 newest = max(frame.stamp, newest + 1e-6)
