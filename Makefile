@@ -8,7 +8,7 @@ OUT ?= out/demo
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench dist clean
 
 demo: $(VENV)/.demo
 	$(BIN)/kinecast demo --out $(OUT)
@@ -22,6 +22,10 @@ check: $(VENV)/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+dist: $(VENV)/.test
+	rm -rf dist
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m build
 
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.online_step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 __all__ = [
+    "ArmError",
     "ClusterError",
     "DatasetError",
     "DownloadError",
@@ -62,3 +63,7 @@ class DownloadError(KinecastError, OSError):
 
 class ClusterError(KinecastError, OSError):
     """A cluster that cannot be reached, has no fit workers, or loses them again and again."""
+
+
+class ArmError(KinecastError, OSError):
+    """An arm that cannot be reached, does not speak its protocol, or is not what it must be before it may move."""

@@ -73,6 +73,7 @@ class TestHelp:
             "live",
             "calibrate",
             "simulate",
+            "robot",
         ]
 
     @pytest.mark.parametrize("command", ["train", "evaluate"])

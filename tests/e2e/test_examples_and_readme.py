@@ -77,9 +77,9 @@ def test_the_first_block_is_twelve_lines_on_a_real_person() -> None:
     assert "prediction.status" in first[-1]
 
 
-def test_public_names_are_few_and_each_is_used_in_the_readme() -> None:
+def test_public_names_are_few_and_each_is_used_on_the_first_pages() -> None:
     assert len(kinecast.__all__) <= 20
-    code = "\n".join(blocks(ROOT / "README.md", "python"))
+    code = "\n".join(code for page in ("README.md", "docs/library.md") for code in blocks(ROOT / page, "python"))
     for name in kinecast.__all__:
         assert hasattr(kinecast, name)
         assert re.search(rf"\b{name}\b", code), name
@@ -112,12 +112,12 @@ def defined(file: Path) -> set[str]:
 
 
 def commands() -> list[list[str]]:
-    """Every kinecast command of the README's shell blocks, as words."""
-    lines = "\n".join(blocks(ROOT / "README.md", "sh")).splitlines()
-    return [line.partition("#")[0].split() for line in lines if line.startswith("kinecast ")]
+    """Every kinecast command of the pages' shell blocks, as words."""
+    text = "\n".join(code for page in PAGES for code in blocks(page, "sh")).replace("\\\n", " ")
+    return [line.partition(" #")[0].split() for line in text.splitlines() if line.startswith("kinecast ")]
 
 
-def test_commands_of_the_readme_have_the_options_it_names(capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_of_the_pages_have_the_options_it_names(capsys: pytest.CaptureFixture[str]) -> None:
     from kinecast.cli import main
 
     seen = {}
@@ -129,7 +129,7 @@ def test_commands_of_the_readme_have_the_options_it_names(capsys: pytest.Capture
             seen[command] = capsys.readouterr().out
         for option in (word for word in words if word.startswith("--")):
             assert f"{option} " in seen[command], f"kinecast {command} has no {option}"
-    assert {"info", "train", "evaluate", "predict", "download"} <= set(seen)
+    assert {"info", "train", "evaluate", "predict", "download", "live", "robot"} <= set(seen)
 
 
 def test_make_targets_of_the_readme_exist() -> None:
@@ -141,9 +141,9 @@ def test_make_targets_of_the_readme_exist() -> None:
 
 
 def test_tables_are_complete() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    results = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     for method in DEFAULT_METHODS.split(","):
-        assert f"| `{method}`" in readme, method
+        assert f"| `{method}`" in results, method
     conventions = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
     for status in Status:
         assert f"| {status.name} |" in conventions, status.name

@@ -19,13 +19,14 @@ from kinecast.cli.info import info
 from kinecast.cli.live import live
 from kinecast.cli.predict import predict
 from kinecast.cli.progress import note
+from kinecast.cli.robot import robot
 from kinecast.cli.simulate import simulate
 from kinecast.cli.train import train
 from kinecast.errors import KinecastError
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     command.__name__: command
-    for command in (demo, info, convert, download, train, evaluate, predict, live, calibrate, simulate)
+    for command in (demo, info, convert, download, train, evaluate, predict, live, calibrate, simulate, robot)
 }
 
 BAD_INPUT = 2

@@ -1,0 +1,285 @@
+"""`kinecast robot`: checks a real arm, and has it pick and place beside the people that a source shows."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import re
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+from kinecast.cli.options import ModelFile, Switch, check_seed, read_predictor
+from kinecast.cli.progress import compiling
+from kinecast.errors import ArmError, OptionError
+from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
+from kinecast.predictor import PredictorOptions
+
+if TYPE_CHECKING:
+    from kinecast.robot.rtde import Reading
+    from kinecast.robot.ur5 import UR5
+    from kinecast.robot.ur_driver import UrDriver
+    from kinecast.types import Prediction, SkeletonFrame
+
+WATCHED = 2.0
+"""The controller's clock is watched for so long [s]."""
+NEAR, TURNED = 0.01, 0.035
+"""Apart so far, in metres and radians, two poses of the tool are one."""
+MARGIN = 0.1
+"""From the end of a joint's range that an arm should keep [rad]."""
+STEP = 0.008
+"""Of the supervisor's control [s]; a faster controller is led there in a straight line."""
+
+DriverName = Annotated[str, arg(name="driver", metavar="ur:HOST", help="the arm; ur:HOST:PORT where it is not 30004.")]
+SourceName = Annotated[
+    str | None, arg(metavar="SOURCE", help="where the skeletons come from, as in kinecast live; --move needs it.")
+]
+BasePlace = Annotated[tuple[float, float, float, float], arg(metavar="X Y Z YAW")]
+
+
+def robot(
+    driver: DriverName,
+    dry_run: Switch = False,
+    move: Switch = False,
+    source: SourceName = None,
+    base: BasePlace = (0.0, 0.0, 0.0, 0.0),
+    gripper: int = 0,
+    model: ModelFile = None,
+    samples: int = 200,
+    seed: int = 0,
+) -> None:
+    """Drives a UR5 (CB3, e-Series) through the cell's episode. No safety function: read docs/ur.md first.
+
+    Args:
+        dry_run: checks limits, tool, frames and clock; writes nothing to the arm and moves nothing.
+        move: the arm may move. It is checked first, too.
+        base: where the arm's base stands in the frame of the skeletons: metres, and degrees about z.
+        gripper: digital output that closes the gripper: 0 to 7, configurable 8 to 15, at the tool 16 and 17.
+        model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
+        samples: motions drawn per prediction.
+        seed: of the draws.
+    """
+    from kinecast.robot.rtde import PORT
+    from kinecast.robot.ur5 import UR5  # here, since the robot is an extra
+    from kinecast.robot.ur_driver import UrDriver
+
+    found = re.fullmatch(r"ur:([^:/]+|\[[^\]/]+\])(?::(\d{1,5}))?", driver)
+    if found is None or int(found[2] or PORT) > 65535:
+        raise OptionError(f"--driver {driver}: expected ur:HOST or ur:HOST:PORT")
+    if dry_run == move:
+        raise OptionError("either --dry-run, which checks and moves nothing, or --move, with which the arm moves")
+    if move and source is None:
+        raise OptionError("--move: needs --source, the skeletons of who is beside the arm")
+    check_seed(seed)
+    if not np.isfinite(base).all():
+        raise OptionError(f"--base {' '.join(map(str, base))}: must be finite")
+    host, port, arm = found[1].strip("[]"), int(found[2] or PORT), UR5()
+    checks = check_arm(arm, host, port)
+    for check in checks:
+        print(f"{'ok ' if check.passed else 'NOT'}  {check.name:8}  {check.text}")
+    failed = [check.name for check in checks if not check.passed]
+    if failed:
+        raise ArmError(f"{driver}: the arm may not move: {', '.join(failed)}")
+    if dry_run:
+        print("nothing was written, nothing has moved")
+        return
+    assert source is not None
+    turn = from_rotation_vector(np.array([0.0, 0.0, np.radians(base[3])]))
+    with compiling():
+        warm_up(samples)
+    people = People(source, transform(turn, np.array(base[:3])), model, PredictorOptions(samples=samples, seed=seed))
+    with closing(people), closing(UrDriver(arm, host, port, gripper)) as opened:
+        print("the arm moves; Ctrl-C stops it", flush=True)
+        for line in episode(arm, opened, people):
+            print(line, flush=True)
+        print(opened.counters)
+        if opened.status.name != "OK":
+            raise ArmError(f"{driver}: {opened.status.name}: {opened.status.value}")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that must be in order before an arm may move."""
+
+    name: str
+    passed: bool
+    text: str
+
+
+def check_arm(arm: UR5, host: str, port: int) -> list[Check]:
+    """Looks at an arm for two seconds without writing anything to it; ArmError where it cannot be reached."""
+    from kinecast.robot.rtde import Rtde
+    from kinecast.robot.ur_driver import trouble
+
+    readings: list[Reading] = []
+    arrivals: list[float] = []
+    with closing(Rtde(host, port)) as rtde:
+        until = time.monotonic() + WATCHED
+        while time.monotonic() < until and not rtde.closed:
+            rtde.wait(0.1)
+            news = rtde.readings()
+            readings += news
+            arrivals += [time.monotonic()] * len(news)
+    if len(readings) < 2:
+        raise ArmError(f"{host}:{port}: sends no states")
+    last = readings[-1]
+    version = ".".join(map(str, rtde.version[:3]))
+    kind = "CB3" if rtde.rate < 200 else "e-Series"
+    problem = trouble(last)
+    return [
+        Check("software", True, f"{version} ({kind}), {rtde.rate:g} cycles a second"),
+        _clock(readings, arrivals, rtde.rate),
+        Check("state", problem is None, "kinecast_ur.script waits" if problem is None else problem.value),
+        Check("speed", last.speed_fraction > 0, f"the speed slider lets it go at {last.speed_fraction:.0%}"),
+        _limits(arm, last),
+        _tool(arm, last),
+    ]
+
+
+def _clock(readings: list[Reading], arrivals: list[float], rate: float) -> Check:
+    stamps = np.array([each.stamp for each in readings])
+    cycles = (stamps[-1] - stamps[0]) * rate
+    skipped = cycles + 1 - len(stamps)
+    gaps = np.diff(arrivals) * rate
+    drift = (arrivals[-1] - arrivals[0]) / (stamps[-1] - stamps[0]) - 1
+    text = (
+        f"{skipped:.0f} of {cycles:.0f} cycles without a state; {np.percentile(gaps, 99):.2f} cycles between two at"
+        f" p99, {gaps.max():.2f} at most; runs {1e6 * drift:+.0f} ppm apart from this computer's"
+    )
+    steady = skipped <= 0.01 * cycles and np.percentile(gaps, 99) <= 2 and abs(drift) < 0.01
+    return Check("clock", bool(steady), text)
+
+
+def _limits(arm: UR5, reading: Reading) -> Check:
+    left = np.minimum(reading.q - arm.q_range[:, 0], arm.q_range[:, 1] - reading.q)
+    text = f"joint {left.argmin() + 1} is {left.min():.2f} rad from the end of its range, the others are further"
+    return Check("limits", bool(left.min() > MARGIN), text)
+
+
+def _tool(arm: UR5, reading: Reading) -> Check:
+    """Whether the controller puts the tool where this model of the arm does: tells another arm, tool or base frame."""
+    T = inverse(arm.T_world_base) @ arm.forward_kinematics(reading.q)
+    R = from_rotation_vector(reading.tool[3:])
+    apart = np.linalg.norm(reading.tool[:3] - T[:3, 3])
+    turned = np.linalg.norm(rotation_vector(T[:3, :3].T @ R))
+    text = f"the controller's TCP is {1e3 * apart:.1f} mm and {np.degrees(turned):.1f}° from the model's"
+    passed = bool(apart < NEAR and turned < TURNED)
+    return Check("tool", passed, text if passed else f"{text}: another arm, TCP or base frame (docs/ur.md)")
+
+
+class People:
+    """Predictions of whoever a source shows, in the frame of the arm's base and on this computer's clock.
+
+    Args:
+        source: as of `kinecast live`.
+        T_world_base: the arm's base in the frame of the skeletons.
+        model, options: of the predictor.
+    """
+
+    def __init__(self, source: str, T_world_base: np.ndarray, model: ModelFile, options: PredictorOptions) -> None:
+        from kinecast.cli.live_opening import open_source, read_source
+        from kinecast.live.mailbox import Mailbox
+        from kinecast.live.network import Network
+
+        self._T_base_world, self._mailbox, self._ended = inverse(T_world_base), Mailbox(), threading.Event()
+        self._predictor = read_predictor(model, None, options)
+        self._seen: deque[tuple[SkeletonFrame, Prediction]] = deque(maxlen=8)
+        self._closing = ExitStack()
+        with ExitStack() as closing_:
+            network = closing_.enter_context(closing(Network()))
+            opened = closing_.enter_context(closing(open_source(read_source(source), self._mailbox, network, None)))
+            opened.start()
+            thread = threading.Thread(target=self._watch, name=source, daemon=True)
+            thread.start()
+            closing_.callback(thread.join, 5.0)
+            closing_.callback(self._ended.set)
+            self._closing = closing_.pop_all()
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing will come any more."""
+        return self._mailbox.finished and not self._seen
+
+    def close(self) -> None:
+        """Ends the source."""
+        self._closing.close()
+
+    def seen(self) -> Iterator[tuple[SkeletonFrame, Prediction]]:
+        """What has come since the last call; never waits."""
+        while self._seen:
+            yield self._seen.popleft()
+
+    def _watch(self) -> None:
+        while not self._ended.is_set():
+            arrival = self._mailbox.take(0.1)
+            if arrival is not None:
+                frame = self._in_base(replace(arrival.frame, stamp=arrival.acquired))
+                self._seen.append((frame, self._predictor.observe(frame, time.monotonic())))
+
+    def _in_base(self, frame: SkeletonFrame) -> SkeletonFrame:
+        T, covariance = self._T_base_world, frame.covariance
+        R = T[:3, :3]
+        turned = None if covariance is None else R @ covariance @ R.T
+        return replace(frame, positions=apply(T, frame.positions), covariance=turned, frame_id="cell")
+
+
+def warm_up(samples: int) -> None:
+    """Three simulated seconds: what is compiled while an arm moves comes too late."""
+    from kinecast.robot.collaboration import Forecasters, simulate_scenario
+
+    steps = simulate_scenario("avoid", "kinecast", 0, Forecasters(samples), None).steps()
+    deque(itertools.islice(steps, round(3.0 / STEP)), maxlen=0)
+    gc.collect()
+    gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
+    sys.setswitchinterval(5e-4)  # predictor and planner are threads, and give way to the arm sooner
+
+
+def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
+    """The cell's episode by a real arm, while there is a source and nothing stops it; what is decided, in lines."""
+    from kinecast.robot.camera import Shot
+    from kinecast.robot.cell import Cell
+    from kinecast.robot.choice import Chooser
+    from kinecast.robot.execution import Executor
+    from kinecast.robot.planner import Planner
+    from kinecast.robot.planning_desk import ThreadDesk
+    from kinecast.robot.simulation import QUICK
+    from kinecast.robot.supervisor import Supervisor
+    from kinecast.robot.ur_driver import ArmStatus
+
+    cell = Cell()
+
+    class SliderExecutor(Executor):
+        """Goes on as slowly as the speed slider says, so that the arm can follow."""
+
+        def step(self, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return super().step(scale * driver.reading.speed_fraction)
+
+    per_step = max(round(STEP / driver.dt), 1)
+    q = driver.state().q
+    with closing(ThreadDesk(Chooser(Planner(arm, cell.scene, QUICK), cell).choose)) as desk:
+        supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), desk)
+        closed, newest = driver.state().closed, 0.0
+        driver.resume()
+        while driver.status is ArmStatus.OK and not supervisor.done and not people.ended:
+            now = time.monotonic()
+            for frame, prediction in people.seen():  # a shot each: two of one instant would pass for the same one
+                newest = max(frame.stamp, newest + 1e-6)
+                supervisor.see(Shot(newest, now, (frame,)), [prediction], now)
+            command = supervisor.control(now)
+            if command.news:
+                yield f"{command.decision.state.name.lower():10}  {command.decision.reason}"
+            if command.closed != closed:
+                closed = command.closed
+                driver.grip(closed)
+            for part in range(1, per_step + 1):
+                driver.wait()
+                driver.move(q + (command.q - q) * part / per_step)
+            q = command.q

@@ -1,0 +1,285 @@
+"""A real Universal Robots arm (CB3, e-Series) as a `Driver`; on its controller runs `data/kinecast_ur.script`.
+
+How to set it up: docs/ur.md. What was decided: docs/decisions/0027.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.errors import ArmError, OptionError
+from kinecast.robot.driver import ArmState
+from kinecast.robot.rtde import PORT, Reading, Rtde
+from kinecast.robot.ur5 import UR5
+
+__all__ = ["ArmStatus", "CycleCounters", "UrDriver", "trouble"]
+
+PATIENCE = 0.1
+"""After so long without the other side [s] an arm that has to be told again stands; so does the program's own."""
+LEAD = 0.4
+"""Farthest a target may be ahead of the arm in any joint [rad]; at pi rad/s servoj is about 0.3 behind."""
+FIRST = 1.0
+"""Longest wait for the first state, and for an arm to come to rest [s]."""
+LATE = 2.0
+"""Cycles after which a state is too old for another target."""
+DRIFT = 1e-3
+"""Seconds a second by which the controller's clock may run apart from this computer's."""
+STANDS, FOLLOWS = 2701, 2702
+"""What `kinecast_ur.script` writes into output_int_register_24."""
+PLAYING, RUNNING = 2, 7
+"""Values of runtime_state and robot_mode (RTDE Guide)."""
+
+
+class ArmStatus(Enum):
+    """What an arm does, and what helps where it stands. Any but OK stays until `resume`."""
+
+    OK = "it follows"
+    WAITING = "it stands until it is told to move: resume()"
+    DISCONNECTED = "the connection is lost: mind cable and controller, then resume()"
+    LATE = "the controller's states came too late: find what holds up network or computer, then resume()"
+    EMERGENCY_STOP = "emergency stop: release it and switch the arm on at its pendant, then resume()"
+    PROTECTIVE_STOP = "protective stop: find out why, unlock it at the pendant, play the program, then resume()"
+    SAFEGUARD_STOP = "safeguard stop: clear the guarded space and reset it, then resume()"
+    FAULT = "the safety system is in fault, violation or recovery: the pendant says why"
+    SWITCHED_OFF = "the arm is not switched on, or its brakes are on: see the pendant"
+    NO_PROGRAM = "kinecast_ur.script does not run on the controller, or has stopped the arm: play it, then resume()"
+    REFUSED = "it was told to be where it may not, or cannot, be in time: go on from where it is, then resume()"
+
+
+_SAFETY = (
+    (0b000_1110_0000, ArmStatus.EMERGENCY_STOP),
+    (0b000_0000_0100, ArmStatus.PROTECTIVE_STOP),
+    (0b000_0001_0000, ArmStatus.SAFEGUARD_STOP),
+    (0b011_0000_1000, ArmStatus.FAULT),
+    (0b100_0000_0000, ArmStatus.SAFEGUARD_STOP),
+)
+"""Bits of safety_status_bits (RTDE Guide), the gravest first: 2 protective stop, 3 recovery, 4 safeguard stop, 5 to 7
+emergency stops, 8 violation, 9 fault, 10 stopped for safety's sake. Bits 0 and 1 are normal and reduced mode."""
+
+
+def trouble(reading: Reading) -> ArmStatus | None:
+    """Why the arm cannot move, whoever tells it to; None where it can."""
+    for bits, status in _SAFETY:
+        if reading.safety & bits:
+            return status
+    if reading.robot_mode != RUNNING:
+        return ArmStatus.SWITCHED_OFF
+    ours = reading.runtime_state == PLAYING and reading.program in (STANDS, FOLLOWS)
+    return None if ours else ArmStatus.NO_PROGRAM
+
+
+@dataclass
+class CycleCounters:
+    """What became of the controller's cycles: `cycles` = `sent` + those without a target, each for one of three causes.
+
+    Attributes:
+        cycles: since the connection was opened.
+        sent: a target, or the order to stand, was written in it.
+        skipped: the controller sent no state: it leaves some out when it is busy.
+        overrun: whoever calls took longer than a cycle.
+        bunched: the state came together with the next: network, or this computer's scheduler.
+        late: of those sent, in how many the state was too old for another target, and the last one was sent again.
+    """
+
+    cycles: int = 0
+    sent: int = 0
+    skipped: int = 0
+    overrun: int = 0
+    bunched: int = 0
+    late: int = 0
+
+
+class UrDriver:
+    """A UR arm that follows while everything is in order, and stands until `resume` after anything that was not.
+
+    Call `wait`, then `move`, in every cycle. There is no thread: what is not called writes nothing, and the program
+    on the controller stops the arm when nothing is written. `move`, `state`, `grip` and `wait` never raise; `move`,
+    `state` and `grip` never wait.
+
+    Args:
+        arm: its limits.
+        host, port: of the controller.
+        gripper: digital output that closes it: 0 to 7 standard, 8 to 15 configurable, 16 and 17 at the tool.
+
+    Attributes:
+        status: see ArmStatus; counters: see CycleCounters.
+        reading: the newest state; sent: (6,) the newest target [rad].
+
+    Raises:
+        ArmError: see Rtde.
+    """
+
+    def __init__(self, arm: UR5, host: str, port: int = PORT, gripper: int = 0) -> None:
+        if not 0 <= gripper <= 17:
+            raise OptionError(f"gripper {gripper}: digital outputs are 0 to 17")
+        bank = ("standard", "configurable", "tool")[gripper // 8]
+        registers = [f"input_double_register_{k}" for k in range(24, 30)]
+        self._names = ("input_int_register_24", "input_int_register_25", *registers,
+                       f"{bank}_digital_output_mask", f"{bank}_digital_output")  # fmt: skip
+        self._arm, self._host, self._port, self._gripper = arm, host, port, gripper
+        self._orders = itertools.count(int(time.time()) & 0xFFFFFF)  # that no earlier connection has used
+        self.counters = CycleCounters()
+        self._counter = self._order = 0
+        self._grip: bool | None = None  # what the gripper is yet to be told
+        self._news = self._unserved = False  # whether the newest state is news to the caller, and had no answer
+        self._since = 0.0
+        self._connect()
+
+    def _connect(self) -> None:
+        """Opens the connection, and waits for the first state."""
+        rtde = Rtde(self._host, self._port, self._names)
+        deadline = time.monotonic() + FIRST
+        while not (readings := rtde.readings()):
+            if rtde.closed or time.monotonic() > deadline:
+                rtde.close()
+                raise ArmError(f"{self._host}:{self._port}: sends no states")
+            rtde.wait(0.1)
+        self._rtde, self.reading, self.status = rtde, readings[-1], ArmStatus.WAITING
+        self._offset = time.monotonic() - self.reading.stamp
+        self.sent = self.reading.q
+
+    @property
+    def dt(self) -> float:
+        """Time between two steps [s]: of the controller's cycle."""
+        return 1.0 / self._rtde.rate
+
+    @property
+    def age(self) -> float:
+        """How much later than the fastest one the newest state has come, and the time since [s]."""
+        return time.monotonic() - self.reading.stamp - self._offset
+
+    def wait(self, seconds: float = 0.1) -> bool:
+        """Until the controller's next cycle; False where none has begun for so long."""
+        self._look()
+        if not self._news:
+            self._rtde.wait(seconds)
+            self._look(waited=True)
+        begun, self._news = self._news, False
+        return begun
+
+    def state(self) -> ArmState:
+        """What the arm measures now; where the connection is lost, what it measured last."""
+        self._look()
+        return ArmState(self.reading.q.copy(), bool(self.reading.outputs >> self._gripper & 1))
+
+    def move(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+        """Sends the next target [rad]: q, or as far on the way there as speeds and the speed slider allow.
+
+        Returns:
+            (6,) the one sent; the same again while the arm is to stand.
+        """
+        self._look()
+        if self.status is ArmStatus.OK:
+            self._check(q)
+        if self.status is ArmStatus.OK and self._unserved:  # one step a cycle, however often it is called
+            if self.age > LATE * self.dt:
+                self.counters.late += 1
+            else:
+                self.sent = self._towards(q)
+        self._send()
+        return self.sent.copy()
+
+    def grip(self, closed: bool) -> None:
+        """Closes or opens the gripper with the next target; not while the arm is to stand."""
+        if self.status is ArmStatus.OK:
+            self._grip = closed
+
+    def resume(self) -> ArmStatus:
+        """Says that the arm may move again, from where it is; connects again, and waits for it to be at rest, first.
+
+        Returns:
+            OK, or why it still may not.
+
+        Raises:
+            ArmError: the controller cannot be reached.
+        """
+        if self._rtde.closed:
+            self._connect()
+        self._look()
+        if self.status is ArmStatus.OK:
+            return self.status
+        deadline = time.monotonic() + FIRST
+        while not (problem := trouble(self.reading)) and self.reading.program == FOLLOWS:
+            if time.monotonic() > deadline:
+                problem = ArmStatus.NO_PROGRAM
+                break
+            self._rtde.wait(self.dt)
+            self._look()
+        self.status = problem or (ArmStatus.LATE if self.age > PATIENCE else ArmStatus.OK)
+        self.sent, self._order, self._grip = self.reading.q, next(self._orders), None
+        self._since = time.monotonic()
+        return self.status
+
+    def close(self) -> None:
+        """Tells the arm to stand and hangs up."""
+        self._stop(ArmStatus.WAITING)
+        self._rtde.close()
+
+    def _look(self, waited: bool = False) -> None:
+        """Takes in the states that have come, and stops the arm where it must."""
+        readings, now, c = self._rtde.readings(), time.monotonic(), self.counters
+        for reading in readings:
+            passed = max(round((reading.stamp - self.reading.stamp) * self._rtde.rate), 1)
+            c.cycles += passed
+            c.skipped += passed - 1
+            self._offset = min(self._offset + DRIFT * passed / self._rtde.rate, now - reading.stamp)
+            self.reading = reading
+        if readings:
+            c.overrun += self._unserved + (0 if waited else len(readings) - 1)
+            c.bunched += len(readings) - 1 if waited else 0
+            self._news = self._unserved = True
+        self._judge()
+
+    def _judge(self) -> None:
+        """Stops the arm where anything is not in order."""
+        if self._rtde.closed:
+            self._stop(ArmStatus.DISCONNECTED)
+        elif self.status is ArmStatus.OK:
+            reading = self.reading
+            silent = time.monotonic() - self._since > 2 * PATIENCE and (
+                reading.program != FOLLOWS or self._counter - reading.echo > PATIENCE * self._rtde.rate
+            )
+            if (problem := trouble(reading)) is not None:
+                self._stop(problem)
+            elif self.age > PATIENCE:
+                self._stop(ArmStatus.LATE)
+            elif silent:
+                self._stop(ArmStatus.NO_PROGRAM)
+
+    def _check(self, q: Float[np.ndarray, "6"]) -> None:
+        """Stops the arm where it is told to be where it may not."""
+        low, high = self._arm.q_range.T
+        inside = np.shape(q) == (6,) and bool(np.isfinite(q).all() and (q >= low).all() and (q <= high).all())
+        ahead = np.abs(np.stack([q - self.sent, self.sent - self.reading.q])).max() if inside else np.inf
+        if not ahead <= LEAD:
+            self._stop(ArmStatus.REFUSED)
+
+    def _towards(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+        """As far on the straight way to q as all joints can go in a cycle."""
+        step = q - self.sent
+        furthest = self._arm.max_speed * self.dt * self.reading.speed_fraction
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.nanmin(np.append(furthest / np.abs(step), 1.0))
+        return self.sent + share * step
+
+    def _stop(self, status: ArmStatus) -> None:
+        """Tells the arm to stand, at once."""
+        if self.status is ArmStatus.OK or status is ArmStatus.DISCONNECTED:
+            self.status = status
+            self._send()
+
+    def _send(self) -> None:
+        self._counter += 1
+        order = self._order if self.status is ArmStatus.OK else 0
+        bit = 1 << self._gripper % 8
+        outputs = (0, 0) if self._grip is None or not order else (bit, bit * self._grip)
+        self._rtde.send(self._counter & 0x7FFFFFFF, order, *self.sent.tolist(), *outputs)
+        self._grip = None
+        self.counters.sent += self._unserved
+        self._news = self._unserved = False
