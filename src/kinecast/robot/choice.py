@@ -16,6 +16,7 @@ from jaxtyping import Float
 from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
 from kinecast.robot.errand import Step, straight
+from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import STEP, TravelTime, travel_time
 from kinecast.robot.motions import Motions, likely
 from kinecast.robot.occupancy import Occupancy
@@ -47,7 +48,7 @@ class ChoiceOptions:
     gain: float = 0.8
     change: float = 0.4
     order: float = 0.3
-    taken: float = 1.0
+    taken: float = 2.0
     vertical: float = 0.5
     dwell: float = 0.25
     delay: float = 0.1
@@ -192,15 +193,15 @@ def grasp_rows(
     arm: UR5, cell: Cell, trajectory: Trajectory, option: Option, options: ChoiceOptions
 ) -> Float[np.ndarray, "W 6"]:
     """(W, 6) a way, the way down from its end, the gripper's time, and the way up again: `STEP` apart [rad]."""
-    rows = _sampled(trajectory)
+    rows = _sampled(within_limits(trajectory, arm))
     if option.point is None:
         return rows
     to = cell.grasp(option.point)[:3, 3]
     down = straight(arm, rows[-1], to, options.vertical, 0.0)
     if down is None:
         return rows
-    below = _sampled(down)[1:]
-    still = np.repeat(below[-1:], round(options.dwell / STEP), axis=0)
+    below = _sampled(within_limits(down, arm))[1:]
+    still = np.repeat(below[-1:], int(np.ceil(options.dwell / STEP)), axis=0)
     return np.concatenate([rows, below, still, below[::-1], rows[-1:]])
 
 

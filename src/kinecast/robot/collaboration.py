@@ -68,8 +68,8 @@ class Scenario:
 
 SCENARIOS = {
     "avoid": Scenario(
-        "The robot is to take red; the person reaches for green: the same cube, around the predicted region.",
-        (("green", 0.3, 1.5),),
+        "The robot is to take red; the person reaches for blue, across its way: the same cube, around the person.",
+        (("blue", 0.8, 1.5),),
         left=True,
     ),
     "reorder": Scenario(
@@ -78,7 +78,7 @@ SCENARIOS = {
     ),
     "replan": Scenario(
         "The robot is on its way to green when the person reaches for it: blue instead, in mid-motion.",
-        (("green", 9.2, 2.0),),
+        (("green", 9.7, 3.0),),
     ),
 }
 """The paper's three demonstrations."""

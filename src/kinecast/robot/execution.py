@@ -23,7 +23,7 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["Executor"]
+__all__ = ["Executor", "within_limits"]
 
 SHARE = np.array([0.9, 0.6, 0.4])
 """Of the arm's speed, acceleration and jerk that a motion may use by itself: the rest is for changes of its clock."""
@@ -103,7 +103,7 @@ class Executor:
         start as fast as the limits allow; the way there is not planned, and is short if the start is near. A
         trajectory too fast for the arm is followed more slowly.
         """
-        path = _Path(trajectory, self._limits)
+        path = _Path(within_limits(trajectory, self.arm))
         start = path.derivatives(0.0)
         # At rest the clock may start at any rate: q' and q'' are 0 there.
         rest = np.abs(start[1]).max() <= SAME[1] and np.abs(start[2]).max() <= SAME[2]
@@ -191,14 +191,20 @@ class Executor:
         return last.derivatives(last.duration)[0], np.zeros(6), np.zeros(6)
 
 
-class _Path:
-    """A trajectory as a motion of its own clock, slowed down where the arm could not follow."""
+def within_limits(trajectory: Trajectory, arm: UR5) -> Trajectory:
+    """The motion as it is followed: slowed down where the arm could not follow, unless it begins in motion."""
+    limits = np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
+    used = np.stack(trajectory.peaks()) / (SHARE[:, None] * limits)
+    slower = float((used.max(axis=1) ** (1.0 / np.array([1, 2, 3]))).max())
+    moving = np.any(trajectory.start_velocity) or np.any(trajectory.start_acceleration)
+    return trajectory if slower <= 1 or moving else trajectory.stretched(slower)
 
-    def __init__(self, trajectory: Trajectory, limits: Float[np.ndarray, "3 6"]) -> None:
-        used = np.stack(trajectory.peaks()) / (SHARE[:, None] * limits)
-        slower = float((used.max(axis=1) ** (1.0 / np.array([1, 2, 3]))).max())
-        moving = np.any(trajectory.start_velocity) or np.any(trajectory.start_acceleration)
-        self.trajectory = trajectory if slower <= 1 or moving else trajectory.stretched(slower)
+
+class _Path:
+    """A trajectory as a motion of its own clock."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory = trajectory
         self.duration = self.trajectory.duration
 
     def derivatives(self, s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -26,6 +26,8 @@ STEP = 0.1
 """Of the roll-out, and between the looked-at configurations of a path [s]."""
 RISE = 3.0
 """How fast the clock may speed up again [1/s] (kinecast.robot.supervisor)."""
+MEASURED = 0.1
+"""What the noise of a camera adds to the speed at which monitoring takes people to come [m/s]."""
 TAIL = 0.1
 """Share of the slowest motions that the price of risk looks at."""
 
@@ -176,7 +178,7 @@ def _rate(
             robot /= distance
             robot += across * math.sqrt(max(speed - robot * robot, 0.0))
             if robot > 1e-6:
-                human = max(human / distance, least)
+                human = max(human / distance + MEASURED, least)
                 room = distance - arm_radius[i] - body_radius[j] - constant - human * (age + reaction)
                 rate = min(rate, allowed_speed(room, human, reaction, braking) / robot)
     return rate
