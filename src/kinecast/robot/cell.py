@@ -55,10 +55,10 @@ CAMERA = SeparationOptions(reaction=0.1, braking=1.5, intrusion=0.1, person_erro
 """Of a cell watched by fused cameras.
 
 T_r: three control cycles and a camera's period beyond the delay that stamps tell. a: what a planned motion surely
-brakes with (kinecast.robot.execution), far below the 11 m/s² of the maker's own stop at full reach (UR5/CB3 user manual
-3.4.5, appendix A.1: 3.19 rad/s in 0.244 s). Z_d: 95 % of fused joints are nearer to the truth (benchmarks.fusion: 77 mm,
-85 mm with a view hidden). C: a hand that reaches over what is tracked (ISO 13855:2010, 6.2.3, less what the hand's
-capsule holds already).
+brakes with (kinecast.robot.execution), far below the 11 m/s² of the maker's own stop at full reach (UR5/CB3 user
+manual 3.4.5, appendix A.1: 3.19 rad/s in 0.244 s). Z_d: 95 % of fused joints are nearer to the truth
+(benchmarks.fusion: 77 mm, 85 mm with a view hidden). C: a hand that reaches over what is tracked (ISO 13855:2010,
+6.2.3, less what the hand's capsule holds already).
 """
 
 

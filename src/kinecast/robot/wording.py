@@ -65,8 +65,6 @@ def reason_of(
     if trouble:
         return trouble
     if state is RobotState.WAITING:
-        if step is Step.REST and taken:
-            return f"The person has {' and '.join(taken)}: nothing is left to take."
         if cause is Restraint.PREDICTION:
             return f"A person is about to be on the way {errand}."
         return f"A path is sought {errand}."

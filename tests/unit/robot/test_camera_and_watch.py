@@ -8,7 +8,7 @@ import pytest
 from kinecast.errors import OptionError
 from kinecast.robot.body import body_capsules
 from kinecast.robot.camera import Camera, CameraOptions, Shot
-from kinecast.robot.person import ReactivePerson, PlayedPerson
+from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.ur5 import LinkCapsules
 from kinecast.robot.watch import Watch
 from kinecast.types import SkeletonFrame

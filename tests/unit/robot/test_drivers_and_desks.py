@@ -10,12 +10,11 @@ import pytest
 
 from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
+from kinecast.robot.choice import Choice, Chooser, Option, Request
 from kinecast.robot.driver import Driver, MockDriver, SimulatedDriver
-from kinecast.robot.errand import nearest, postures, straight
-from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.errand import Step, nearest, postures, straight
 from kinecast.robot.planner import NoPlan, Plan, Planner
-from kinecast.robot.planning_desk import DeferredDesk, Desk, Request, ThreadDesk
-from kinecast.robot.simulation import planner_of
+from kinecast.robot.planning_desk import DeferredDesk, Desk, ThreadDesk
 from kinecast.robot.ur5 import UR5
 
 START = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
@@ -99,25 +98,27 @@ def test_postures_hold_the_tool_there_and_the_nearest_comes_first(arm: UR5, cell
 
 def request(arm: UR5, cell: Cell) -> Request:
     goals = nearest(postures(arm, cell.grasp(cell.cubes[2].position, cell.hover)), START, arm.q_range)
-    return Request("test", START, goals, Occupancy.empty(), 0.1)
+    option = Option(Step.REACH, "blue", goals, cell.cubes[2].position)
+    return Request((option,), START, 0.1, 0.1)
 
 
 def test_a_deferred_desk_answers_after_its_latency_and_once(arm: UR5, cell: Cell) -> None:
-    desk = DeferredDesk(planner_of(Planner(arm, cell.scene)), 0.1)
+    desk = DeferredDesk(Chooser(Planner(arm, cell.scene), cell).choose, 0.1)
     assert isinstance(desk, Desk)
     desk.ask(request(arm, cell), 1.0)
     assert desk.pending is not None
     assert desk.answer(1.09) is None
     answer = desk.answer(1.1)
     assert answer is not None
-    assert isinstance(answer.plan, Plan)
+    assert answer.choice is not None
+    assert isinstance(answer.choice.plan, Plan)
     assert desk.answer(1.2) is None
     assert desk.pending is None
 
 
 @pytest.mark.parametrize("threaded", [False, True])
 def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm: UR5, cell: Cell) -> None:
-    def broken(_: Request) -> Plan | NoPlan:
+    def broken(_: Request) -> Choice | NoPlan:
         raise ValueError("broken")
 
     for solve, crashed, words in ((broken, True, "broken"), (lambda _: NoPlan("no way"), False, "no way")):
@@ -130,7 +131,7 @@ def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm
                 break
             time.sleep(0.01)
         assert answer is not None
-        assert answer.plan is None
+        assert answer.choice is None
         assert answer.crashed is crashed
         assert words in answer.reason
         if isinstance(desk, ThreadDesk):
@@ -140,7 +141,7 @@ def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm
 def test_a_thread_does_not_make_the_asker_wait(arm: UR5, cell: Cell) -> None:
     asked_for = threading.Event()
 
-    def slow(_: Request) -> Plan | NoPlan:
+    def slow(_: Request) -> Choice | NoPlan:
         return NoPlan("waited for" if asked_for.wait(60.0) else "never asked for")
 
     desk = ThreadDesk(slow)

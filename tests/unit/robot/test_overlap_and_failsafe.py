@@ -10,7 +10,7 @@ import pytest
 
 from kinecast.robot.failsafe import FailsafeOptions, free_speed
 from kinecast.robot.occupancy import Occupancy, OccupancyOptions
-from kinecast.robot.overlap import overlap_probability, reach_probabilities
+from kinecast.robot.overlap import reach_probabilities
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction
 
@@ -32,10 +32,6 @@ def test_probabilities_are_shares_of_samples(share: float) -> None:
     prediction = two_ways(share)
     cubes = np.array([[0.45, -0.2, 0.05], [0.45, 0.6, 0.05]])
     np.testing.assert_allclose(reach_probabilities(prediction, cubes, 0.06), [share, 0.0])
-    balls = np.repeat(np.array([[[0.45, -0.2, 0.05], [0.4, -0.2, 0.05]]]), 15, axis=0)
-    assert overlap_probability(prediction, balls, np.array([0.05, 0.05])) == pytest.approx(share)
-    balls[-1] += 5.0  # the arm is gone by then
-    assert overlap_probability(prediction, balls, np.array([0.05, 0.05])) == 0.0
 
 
 def test_a_limb_that_is_not_known_may_be_anywhere() -> None:

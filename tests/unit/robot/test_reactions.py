@@ -12,7 +12,7 @@ from kinecast.robot.camera import Camera, CameraOptions
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import Forecasters, generated_person, simulate_scenario
 from kinecast.robot.outcome import outcome_of
-from kinecast.robot.person import ReactivePerson, PlayedPerson
+from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState
 

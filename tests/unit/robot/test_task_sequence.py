@@ -12,24 +12,23 @@ ORDER = ("red", "green", "blue")
 
 def test_order_is_kept_while_nobody_reaches_for_anything() -> None:
     sequence = TaskSequence(ORDER)
-    done = []
-    while (name := sequence.next()) is not None:
-        done.append(name)
-        sequence.finish(name)
-    assert tuple(done) == ORDER
+    sequence.update(0.0, dict.fromkeys(ORDER, 0.1))
+    assert not any(map(sequence.is_taken, ORDER))
+    sequence.finish("red")
+    assert sequence.remaining == ["green", "blue"]
 
 
-def test_a_cube_that_is_reached_for_is_passed_over_and_comes_back_later() -> None:
+def test_a_cube_that_is_reached_for_is_taken_and_comes_back_later() -> None:
     sequence = TaskSequence(ORDER, SequenceOptions(after=0.5))
     sequence.finish("red")
     sequence.update(0.0, {"green": 0.6, "blue": 0.0})
-    assert sequence.next() == "blue"
+    assert sequence.is_taken("green")
     sequence.update(1.0, {"green": 0.1})
-    assert sequence.next() == "blue", "not free at once"
+    assert sequence.is_taken("green"), "not free at once"
     sequence.update(1.49, {"green": 0.1})
-    assert sequence.next() == "blue"
+    assert sequence.is_taken("green")
     sequence.update(1.5, {"green": 0.1})
-    assert sequence.next() == "green"
+    assert not sequence.is_taken("green")
 
 
 def test_a_probability_between_the_thresholds_changes_nothing() -> None:
@@ -42,14 +41,10 @@ def test_a_probability_between_the_thresholds_changes_nothing() -> None:
         assert sequence.is_taken("red"), "each rise starts the waiting anew"
 
 
-def test_nothing_is_next_when_all_are_taken_and_given_up_ones_never_are() -> None:
+def test_what_is_given_up_is_left_no_more() -> None:
     sequence = TaskSequence(ORDER)
-    sequence.update(0.0, dict.fromkeys(ORDER, 1.0))
-    assert sequence.next() is None
-    sequence.update(1.0, dict.fromkeys(ORDER, 0.0))
-    sequence.update(2.0, dict.fromkeys(ORDER, 0.0))
     sequence.give_up("red")
-    assert sequence.next() == "green"
+    assert sequence.remaining == ["green", "blue"]
     assert sequence.given_up == ["red"]
 
 

@@ -168,14 +168,14 @@ def test_a_run_is_given_up_for_the_next() -> None:
 
 def test_a_moment_in_words() -> None:
     decision = Decision(
-        3.25, RobotState.SLOWED, "Slowly: <a person> is near.", "green", Reaction.CHANGE_CUBE, 0.4, 0.31, 0.12, 0.25,
+        3.25, RobotState.SLOWED, "Slowly: <a person> is near.", "green", Reaction.CHANGE_CUBE, 0.4, 0.31, 0.12,
         {"red": 0.0, "green": 0.87},
     )  # fmt: skip
     said = state_html(decision, 3.25)
     assert "slowed" in said
     assert "&lt;a person&gt;" in said
     figures = figures_html(decision, Cell())
-    for words in ("87 %", "25 %", "40 %", "0.31 m", "stops below 0.12 m"):
+    for words in ("87 %", "40 %", "0.31 m", "stops below 0.12 m"):
         assert words in figures
     assert "change cube:" in decisions_html([decision])
     assert "nobody near" in figures_html(Decision(0.0, RobotState.MOVING, "On its way."), Cell())
