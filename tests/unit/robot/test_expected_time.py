@@ -64,7 +64,7 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     from kinecast.robot.separation import separation
     from kinecast.robot.trajectory import Trajectory
 
-    rows, body = way(arm), motions(1.14)
+    rows, body = way(arm), motions(1.17)
     foretold = travel_time(arm, rows, body, CELL.separation, age=0.1).mean
     executor, dt, steps = Executor(arm, 0.008, rows[0]), 0.008, 0
     trajectory = Trajectory(STEP * np.arange(len(rows)), rows)
