@@ -11,7 +11,8 @@ from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
 from kinecast.prediction.density import GaussianMixture, PoseDensity
-from kinecast.prediction.kinecast.error_model import LEVEL, SCALES, AdaptiveScale, fit_error_model, mixture_radius
+from kinecast.prediction.kinecast.adaptive_scale import LEVEL, AdaptiveScale
+from kinecast.prediction.kinecast.error_model import SCALES, fit_error_model, mixture_radius
 from kinecast.prediction.kinecast.experts import (
     DAMPED,
     TRIVIAL,
@@ -43,7 +44,7 @@ SWAP = [3, 4, 5, 0, 1, 2]
 MIRROR = np.array([1.0, -1.0, 1.0])
 SMALL = KinecastOptions(network_steps=20, folds=2)
 NOISE = 0.002
-UNIT = np.eye(len(SCALES))[2]
+UNIT = (SCALES == 1.0).astype(float)
 """Weights of the common factor that is one."""
 REST = np.zeros(6)
 
@@ -435,4 +436,4 @@ class TestParts:
 
     def test_the_radius_of_a_unit_normal_is_known(self) -> None:
         # The 0.9 quantile of chi squared with three degrees of freedom is 6.2514.
-        assert mixture_radius(np.eye(len(SCALES))[2], 0.9) == pytest.approx(np.sqrt(6.2514), abs=1e-4)
+        assert mixture_radius(UNIT, 0.9) == pytest.approx(np.sqrt(6.2514), abs=1e-4)

@@ -40,7 +40,7 @@ def drawn(
     draws = rng.standard_normal((RANK, samples))
     observation = Observation(np.repeat(mean[:1] @ TURN.T + ORIGIN, 6, axis=0), np.array([0.0, 0.0, 1.0]), DT)
     observation.__dict__.update(posture=start, frame=(TURN, ORIGIN))  # as if it had been seen on this branch
-    moved = sample_motions(observation, mean, factor, draws, rng, limits)
+    moved = sample_motions(observation, mean, factor, draws, limits)
     return (moved - ORIGIN) @ TURN, mean + np.tensordot(draws, factor, axes=(0, 3))
 
 
