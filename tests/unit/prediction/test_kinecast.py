@@ -307,7 +307,7 @@ def heavy_tailed(seed: int, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
     """Errors (B, T, 6, 3) whose size follows a feature and whose axes differ; features (B, 6, F)."""
     rng = np.random.default_rng(seed)
     features = np.concatenate([np.ones((count, 6, 1)), rng.uniform(-1.0, 1.0, (count, 6, 1))], axis=2)
-    scale = 0.02 * np.exp(features[..., 1]) * rng.choice([0.5, 1.0, 2.0], (count, 1))
+    scale = 0.02 * np.exp(features[..., 1]) * rng.choice(SCALES[1:5], (count, 1))
     errors = scale[:, None, :, None] * rng.standard_normal((count, 3, 6, 3)) * np.array([1.0, 0.5, 2.0])
     return errors, features
 
