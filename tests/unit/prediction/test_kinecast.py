@@ -12,7 +12,7 @@ from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
 from kinecast.prediction.density import GaussianMixture, PoseDensity
 from kinecast.prediction.kinecast.adaptive_scale import LEVEL, AdaptiveScale
-from kinecast.prediction.kinecast.error_model import SCALES, fit_error_model, mixture_radius
+from kinecast.prediction.kinecast.error_model import CEILING, SCALES, fit_error_model, mixture_radius
 from kinecast.prediction.kinecast.experts import (
     DAMPED,
     TRIVIAL,
@@ -28,6 +28,7 @@ from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, ablation
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 from kinecast.prediction.kinecast.weights import (
     HALF_LIVES,
+    JOINT_TYPE,
     LEADS,
     LONG_RUN,
     Gate,
@@ -334,6 +335,8 @@ class TestErrorModel:
         model = fit_error_model(*heavy_tailed(2))
         low, high = (model.scale(np.tile([1.0, value], (6, 1))) for value in (-1.0, 1.0))
         np.testing.assert_allclose(np.log(high / low), 2.0, atol=0.15)
+        highest = model.scale(np.tile([1.0, 1e3], (6, 1))) * np.cbrt(np.linalg.det(model.shape[JOINT_TYPE])).T
+        np.testing.assert_allclose(highest, CEILING * model.reach[JOINT_TYPE].T)  # and knows a ceiling
 
     def test_every_number_keeps_unit_spread_and_whole_motions_hang_together(self) -> None:
         rng = np.random.default_rng(3)
