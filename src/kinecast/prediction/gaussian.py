@@ -161,7 +161,7 @@ class PositionGaussian(_Gaussian):
         factor = with_noise(self.cholesky, np.repeat(observation.noise, 3)).reshape(self.steps, 6, 3, -1)
         draws = rng.standard_normal((factor.shape[-1], samples))
         constraint = self._constraint(observation, lambda: mean + np.tensordot(draws, factor, axes=(0, 3)))
-        motions = sample_motions(observation, mean, factor, draws, rng, self.limits)
+        motions = sample_motions(observation, mean, factor, draws, self.limits)
         density = PoseDensity(observation, mean, GaussianMixture.of_positions(mean[None], factor[None]), constraint)
         return Forecast(motions, observation.to_world(mean), density, self.limits is not None)
 

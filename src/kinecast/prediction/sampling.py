@@ -1,7 +1,8 @@
 """The one constrained sampler: correlated draws → poses → joint angles → Eq. 4's bounds, step by step → positions.
 
 Nearly every pose lies inside its bounds. So the angles of all poses are found at once, by array operations; one
-compiled loop then goes through the steps, and takes by itself only the poses that leave their bounds.
+compiled loop then goes through the steps, and takes by itself only the poses that leave their bounds. They are brought
+to the nearest pose inside: drawing them anew, step by step, would make a motion that leaves its bounds tremble.
 """
 
 from __future__ import annotations
@@ -13,20 +14,21 @@ from functools import cache
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from numba import njit
 
 from kinecast.body.limits import JointLimits, bounds, wrist_levers
-from kinecast.body.posture import ANGLES, LENGTHS, arm_vectors, nearest_turn, out_of_torso, postures_from_points
-from kinecast.prediction.noise import angle_noise
+from kinecast.body.posture import ANGLES, LENGTHS, arm_vectors, nearest_turn, out_of_torso
 from kinecast.prediction.observation import Observation
-from kinecast.prediction.truncated_normal import sample
 
 __all__ = ["sample_motions"]
 
 BLOCK = 104
 """Samples side by side. Known to the compiler, it makes vector instructions of loops over them (eight at a time), and a
 product of this size stays in the calling thread: OpenBLAS' other threads would wait for a busy core."""
+INSIDE = 5e-3
+"""How far from the end of its range an angle is held that would leave it [rad]: others may reckon the end from fewer
+recordings."""
 
 
 def sample_motions(
@@ -34,22 +36,22 @@ def sample_motions(
     mean: Float[np.ndarray, "T 6 3"],
     factor: Float[np.ndarray, "T 6 3 R"],
     draws: Float[np.ndarray, "R S"],
-    rng: np.random.Generator,
     limits: JointLimits | None,
+    farthest: Float[np.ndarray, "T 6"] | None = None,
 ) -> Float[np.ndarray, "S T 6 3"]:
     """Motions mean + factor · draw, every step within Eq. 4's bounds of the one before.
 
-    Each pose is taken to the posture by the exact inverse kinematics. An angle outside its bounds given the step before
-    is drawn anew from the truncated normal about the mean motion's angle (Eq. 2); the pose then comes back by forward
-    kinematics. A pose inside is kept as it is.
+    A motion that strays too far from the mean is brought nearer to it as a whole, by one factor, and stays smooth. Each
+    pose is taken to the posture by the exact inverse kinematics. An angle outside its bounds given the step before is
+    taken to the nearest bound; the pose then comes back by forward kinematics. A pose inside is kept as it is.
 
     Args:
         observation: the window; its last pose is the step before the first.
         mean: (T, 6, 3) in the torso frame [m].
         factor: (T, 6, 3, R) of the covariance [m].
         draws: (R, S) of the factor's coordinates.
-        rng: for what is drawn anew.
         limits: of the arm's angles; None leaves every motion as it is.
+        farthest: (T, 6) that each joint may be from the mean [m]; None for any.
 
     Returns:
         (S, T, 6, 3) positions in the world [m].
@@ -62,33 +64,30 @@ def sample_motions(
         drawn[b, :, : part.shape[1]] = part
     if limits is not None:
         which = list(ANGLES)
-        centre = postures_from_points(mean, observation.posture, continuous=True, usual=False)
-        spread = _angle_spread(centre, np.sqrt(np.einsum("tjdr,tjdr->tj", factor, factor) / 3.0))
         lower, upper, speed = (values[which] for values in limits.of_posture())
         bounds_of_all = (
             observation.posture[which],
             observation.posture[list(LENGTHS[1:])],
-            centre[:, which],
-            spread,
             lower,
             upper,
             speed * observation.dt,
             np.inf if limits.wrist_speed is None else limits.wrist_speed * observation.dt,
         )
-        uniforms = rng.random((steps, blocks * BLOCK, 8), dtype=np.float32)
     motions = np.empty((samples, steps, 6, 3))
 
     def some(first: int, last: int) -> None:
         """Fills in the motions of some blocks."""
         rows = slice(first * BLOCK, last * BLOCK)
         poses = factor.reshape(steps, 1, 18, -1) @ drawn[first:last]
+        if farthest is not None:
+            _hold_near(poses.reshape(steps, last - first, 18 * BLOCK), 1.0 / farthest**2)
         poses += mean.reshape(steps, 1, 18, 1)
         poses = poses.reshape(steps, last - first, 18 * BLOCK)
         if limits is not None:
             angles, adjacent = np.empty((2, steps, last - first, 8 * BLOCK))
             _arm_triangles(poses, angles, adjacent)
             np.arctan2(angles, adjacent, out=angles)
-            _hold_within_bounds(poses, angles, uniforms[:, rows], *bounds_of_all)
+            _hold_within_bounds(poses, angles, *bounds_of_all)
         _to_world(poses, *observation.frame, motions[rows])
 
     if blocks == 1:
@@ -106,9 +105,28 @@ def _helper(_process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, thread_name_prefix="sampling")
 
 
-def _angle_spread(centre: Float[np.ndarray, "T 18"], spread: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "T 8"]:
-    """(T, 8) spread of each arm angle [rad], to first order, from that of the joints [m]."""
-    return angle_noise(centre.reshape(-1, 3, 6)[:, 1:], spread.reshape(-1, 2, 3)).reshape(-1, 8)
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _hold_near(departures: Float[np.ndarray, "T B 18*C"], weight: Float[np.ndarray, "T 6"]) -> None:
+    """Whole departures from the mean, changed in place: times (1 + r⁸)^(-1/8), r the largest share of what is allowed.
+
+    `weight` is one over the square of how far each joint may be [1/m²].
+    """
+    for b in range(departures.shape[1]):
+        largest = np.zeros(BLOCK)
+        for t in range(departures.shape[0]):
+            p = departures[t, b]
+            for j in range(6):
+                for c in range(BLOCK):
+                    i = 3 * j * BLOCK + c
+                    square = p[i] * p[i] + p[i + BLOCK] * p[i + BLOCK] + p[i + 2 * BLOCK] * p[i + 2 * BLOCK]
+                    largest[c] = max(largest[c], square * weight[t, j])
+        for c in range(BLOCK):
+            largest[c] = (1.0 + largest[c] ** 4) ** -0.125
+        for t in range(departures.shape[0]):
+            for k in range(18):
+                for c in range(BLOCK):
+                    departures[t, b, k * BLOCK + c] *= largest[c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -163,11 +181,8 @@ def _arm_triangles(
 def _hold_within_bounds(
     poses: Float[np.ndarray, "T B 18*C"],
     angles: Float[np.ndarray, "T B 8*C"],
-    uniforms: Float32[np.ndarray, "T S 8"],
     initial: Float[np.ndarray, "8"],
     bones: Float[np.ndarray, "4"],
-    centre: Float[np.ndarray, "T 8"],
-    spread: Float[np.ndarray, "T 8"],
     lower: Float[np.ndarray, "8"],
     upper: Float[np.ndarray, "8"],
     reach: Float[np.ndarray, "8"],
@@ -178,10 +193,8 @@ def _hold_within_bounds(
     Args:
         poses: torso frame [m].
         angles: of both arms [rad], as `_arm_triangles` has them.
-        uniforms: for what is drawn anew.
         initial: angles one step before the first [rad].
         bones: upper arm and forearm there, left and right [m].
-        centre, spread: of the mean motion's angles [rad].
         lower, upper: range [rad].
         reach: farthest that an angle goes in a step [rad].
         wrist_reach: farthest that a wrist goes relative to the torso in a step [m]; infinite for none.
@@ -209,7 +222,6 @@ def _hold_within_bounds(
                     i1, i2, i3, i4 = a * BLOCK + c, (a + 1) * BLOCK + c, (a + 2) * BLOCK + c, (a + 3) * BLOCK + c
                     if not held[c]:
                         _turn_to(angle, before, i1, i2, i3, i4)
-                        u = uniforms[t, b * BLOCK + c]
                         levers = (0.0, 0.0, 0.0, 0.0)
                         if wrist_reach != np.inf:
                             upper_arm, forearm = bones[2 * arm], bones[2 * arm + 1]
@@ -222,10 +234,9 @@ def _hold_within_bounds(
                             i, far = k * BLOCK + c, reach[k]
                             if far * levers[k - a] > wrist_reach:
                                 far = wrist_reach / levers[k - a]
-                            lb, ub = bounds(lower[k], upper[k], far, before[i], 1.0)
+                            lb, ub = bounds(lower[k] + INSIDE, upper[k] - INSIDE, far, before[i], 1.0)
                             if not lb <= angle[i] <= ub:
-                                about = centre[t, k] if k == a + 3 else nearest_turn(centre[t, k], before[i])
-                                angle[i] = sample(u[k], about, spread[t, k], lb, ub)
+                                angle[i] = min(max(angle[i], lb), ub)
                                 changed = True
                         if changed:
                             _place_arm(p, angle, i1, i2, i3, i4, arm, c)

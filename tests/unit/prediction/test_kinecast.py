@@ -11,7 +11,8 @@ from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
 from kinecast.prediction.density import GaussianMixture, PoseDensity
-from kinecast.prediction.kinecast.error_model import LEVEL, SCALES, AdaptiveScale, fit_error_model, mixture_radius
+from kinecast.prediction.kinecast.adaptive_scale import LEVEL, AdaptiveScale
+from kinecast.prediction.kinecast.error_model import CEILING, SCALES, fit_error_model, mixture_radius
 from kinecast.prediction.kinecast.experts import (
     DAMPED,
     TRIVIAL,
@@ -27,6 +28,7 @@ from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, ablation
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 from kinecast.prediction.kinecast.weights import (
     HALF_LIVES,
+    JOINT_TYPE,
     LEADS,
     LONG_RUN,
     Gate,
@@ -43,7 +45,7 @@ SWAP = [3, 4, 5, 0, 1, 2]
 MIRROR = np.array([1.0, -1.0, 1.0])
 SMALL = KinecastOptions(network_steps=20, folds=2)
 NOISE = 0.002
-UNIT = np.eye(len(SCALES))[2]
+UNIT = (SCALES == 1.0).astype(float)
 """Weights of the common factor that is one."""
 REST = np.zeros(6)
 
@@ -306,7 +308,7 @@ def heavy_tailed(seed: int, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
     """Errors (B, T, 6, 3) whose size follows a feature and whose axes differ; features (B, 6, F)."""
     rng = np.random.default_rng(seed)
     features = np.concatenate([np.ones((count, 6, 1)), rng.uniform(-1.0, 1.0, (count, 6, 1))], axis=2)
-    scale = 0.02 * np.exp(features[..., 1]) * rng.choice([0.5, 1.0, 2.0], (count, 1))
+    scale = 0.02 * np.exp(features[..., 1]) * rng.choice(SCALES[1:5], (count, 1))
     errors = scale[:, None, :, None] * rng.standard_normal((count, 3, 6, 3)) * np.array([1.0, 0.5, 2.0])
     return errors, features
 
@@ -333,6 +335,8 @@ class TestErrorModel:
         model = fit_error_model(*heavy_tailed(2))
         low, high = (model.scale(np.tile([1.0, value], (6, 1))) for value in (-1.0, 1.0))
         np.testing.assert_allclose(np.log(high / low), 2.0, atol=0.15)
+        highest = model.scale(np.tile([1.0, 1e3], (6, 1))) * np.cbrt(np.linalg.det(model.shape[JOINT_TYPE])).T
+        np.testing.assert_allclose(highest, CEILING * model.reach[JOINT_TYPE].T)  # and knows a ceiling
 
     def test_every_number_keeps_unit_spread_and_whole_motions_hang_together(self) -> None:
         rng = np.random.default_rng(3)
@@ -435,4 +439,4 @@ class TestParts:
 
     def test_the_radius_of_a_unit_normal_is_known(self) -> None:
         # The 0.9 quantile of chi squared with three degrees of freedom is 6.2514.
-        assert mixture_radius(np.eye(len(SCALES))[2], 0.9) == pytest.approx(np.sqrt(6.2514), abs=1e-4)
+        assert mixture_radius(UNIT, 0.9) == pytest.approx(np.sqrt(6.2514), abs=1e-4)

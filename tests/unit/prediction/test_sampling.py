@@ -40,7 +40,7 @@ def drawn(
     draws = rng.standard_normal((RANK, samples))
     observation = Observation(np.repeat(mean[:1] @ TURN.T + ORIGIN, 6, axis=0), np.array([0.0, 0.0, 1.0]), DT)
     observation.__dict__.update(posture=start, frame=(TURN, ORIGIN))  # as if it had been seen on this branch
-    moved = sample_motions(observation, mean, factor, draws, rng, limits)
+    moved = sample_motions(observation, mean, factor, draws, limits)
     return (moved - ORIGIN) @ TURN, mean + np.tensordot(draws, factor, axes=(0, 3))
 
 
@@ -87,6 +87,37 @@ def test_shoulders_and_bones_are_never_moved() -> None:
         np.testing.assert_allclose(
             length, np.linalg.norm(free[:, :, end] - free[:, :, start], axis=-1), rtol=0, atol=1e-9
         )
+
+
+def at_rest() -> tuple[Observation, np.ndarray]:
+    mean = np.repeat(points_from_postures(START)[None], 12, axis=0)
+    observation = Observation(np.repeat(mean[:1] @ TURN.T + ORIGIN, 6, axis=0), np.array([0.0, 0.0, 1.0]), DT)
+    observation.__dict__.update(posture=START, frame=(TURN, ORIGIN))
+    return observation, mean
+
+
+def test_motions_held_at_a_bound_rest_there() -> None:
+    (observation, mean), rng = at_rest(), np.random.default_rng(1)
+    factor = np.repeat(0.05 * rng.standard_normal((1, 6, 3, RANK)), len(mean), axis=0)
+    limits = JointLimits(elbow=AngleLimit(0.0, 1.42, 12.0), flexion=AngleLimit(-1.0, 0.52, 12.0))
+    draws = rng.standard_normal((RANK, SAMPLES))
+    moved = (sample_motions(observation, mean, factor, draws, limits) - ORIGIN) @ TURN
+    free = mean + np.tensordot(draws, factor, axes=(0, 3))
+    assert (np.abs(moved - free) > 1e-3).any(axis=(1, 2, 3)).mean() > 0.3
+    np.testing.assert_allclose(moved[:, -1], moved[:, -2], rtol=0, atol=1e-9)
+
+
+def test_a_motion_that_strays_is_brought_nearer_as_a_whole() -> None:
+    (observation, mean), rng = at_rest(), np.random.default_rng(2)
+    factor, draws = 0.2 * rng.standard_normal((len(mean), 6, 3, RANK)), rng.standard_normal((RANK, SAMPLES))
+    farthest = rng.uniform(0.3, 1.5, (len(mean), 6))
+    moved = (sample_motions(observation, mean, factor, draws, None, farthest) - ORIGIN) @ TURN - mean
+    free = np.tensordot(draws, factor, axes=(0, 3))
+    assert (np.linalg.norm(moved, axis=-1) <= farthest + 1e-9).all()
+    share = (moved * free).sum(axis=(1, 2, 3)) / (free**2).sum(axis=(1, 2, 3))
+    np.testing.assert_allclose(moved, share[:, None, None, None] * free, rtol=0, atol=1e-9)
+    assert (share < 0.9).any()
+    assert (share[(np.linalg.norm(free, axis=-1) < 0.5 * farthest).all(axis=(1, 2))] > 0.999).all()
 
 
 def test_a_wrist_that_may_be_no_faster_is_not() -> None:

@@ -19,22 +19,20 @@ from jaxtyping import Float, Int
 from kinecast.geometry.transforms import lengths
 from kinecast.prediction.kinecast.experts import TRIVIAL
 from kinecast.prediction.kinecast.features import MIRROR, WindowMotion
-from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs
+from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs, step_basis
 from kinecast.prediction.model_file import Arrays
 
-SPEEDS = (0.05, 0.3)
-"""What parts joints that rest, slow and fast ones [m/s]."""
-LEVEL = 0.8
-"""The region whose coverage is held."""
-RATE, FORGET = 0.1, 0.995
-"""How fast the log of the factor moves with each miss, and how fast it returns to nothing."""
-MOST = 1.5
-"""Most that the log of the factor strays from zero."""
 FIT_ROUNDS = 3
 """Of robust regression of the log error."""
-FIT_STEPS, FIT_BATCH, FIT_RATE, FIT_DECAY = 1200, 512, 0.02, 1e-3
+FIT_STEPS, FIT_BATCH, FIT_RATE, FIT_DECAY = 1200, 512, 0.02, 5e-3
 """Of the descent from there to the maximum likelihood of scale and common factor."""
-SMOOTH = 7
+FINEST = 1e-3
+"""Errors below this are the luck of a resting tracker that repeats itself: they are not learned from [m]."""
+TOGETHER = 0.8
+"""Share of the likelihood that is of whole poses; the rest is of each joint for itself."""
+REACHED, CEILING, STRAYS = 0.999, 0.75, 3.0
+"""Share of errors within `reach`; how much of it the scale may be, and how far drawn motions stray."""
+SMOOTH = 5
 """Functions of time that a drawn motion's departure from the mean is made of."""
 TAIL = 4.0
 """Degrees of freedom of the Student t under which shapes are found: heavy tails do not bend them."""
@@ -43,7 +41,7 @@ RANK = 60
 
 Errors: TypeAlias = Float[np.ndarray, "B T 6 3"]
 
-SCALES = np.array([0.3, 0.6, 1.0, 1.6, 2.5, 4.0])
+SCALES = np.array([0.2, 0.35, 0.6, 1.0, 1.7, 3.0])
 """The common factors of the mixture; their weights depend on the window."""
 SIDES = np.stack([np.eye(3)] * 3 + [np.diag(MIRROR)] * 3)
 """(6, 3, 3) from the arm's own axes to the person's: the right arm was seen in a mirror."""
@@ -92,7 +90,8 @@ class ErrorModel(Arrays):
     """Fitted on errors of recordings that the means were not trained on.
 
     Attributes:
-        slope: (3, T, F) log scale of each joint type and step from the features.
+        slope: (3, T, F) log scale of each joint type and step from the features, where it is far below its ceiling.
+        reach: (3, T) distance from the mean that one error in a thousand exceeds [m].
         shape: (3, T, 3, 3) lower factor of the error's covariance in the arm's axes.
         factor: (T, 6, 3, R) low-rank factor of the correlation of all z.
         rough: (T, 6, 3) share of z's spread that is not smooth in time: a sensor's noise, left out of drawn motions.
@@ -100,6 +99,7 @@ class ErrorModel(Arrays):
     """
 
     slope: Float[np.ndarray, "3 T F"]
+    reach: Float[np.ndarray, "3 T"]
     shape: Float[np.ndarray, "3 T 3 3"]
     factor: Float[np.ndarray, "T 6 3 R"]
     rough: Float[np.ndarray, "T 6 3"]
@@ -107,7 +107,13 @@ class ErrorModel(Arrays):
 
     def scale(self, features: Float[np.ndarray, "6 F"]) -> Float[np.ndarray, "T 6"]:
         """(T, 6) scale of each joint's error."""
-        return np.exp(np.einsum("jtf,jf->tj", self.slope[JOINT_TYPE], features))
+        inverse = np.exp(-np.einsum("jtf,jf->tj", self.slope[JOINT_TYPE], features))
+        return 1.0 / (inverse + self._least_inverse)
+
+    @property
+    def farthest(self) -> Float[np.ndarray, "T 6"]:
+        """(T, 6) how far from the mean a drawn motion goes [m]."""
+        return STRAYS * self.reach[JOINT_TYPE].T
 
     def weights(self, features: Float[np.ndarray, "6 F"]) -> Float[np.ndarray, " K"]:
         """(K,) of the common factors; they sum to one."""
@@ -138,74 +144,12 @@ class ErrorModel(Arrays):
         return SIDES @ self.shape[JOINT_TYPE].transpose(1, 0, 2, 3)
 
     @cached_property
+    def _least_inverse(self) -> Float[np.ndarray, "T 6"]:
+        return _inverse_ceiling(self.reach, self.shape)[JOINT_TYPE].T
+
+    @cached_property
     def _inverse_axes(self) -> Float[np.ndarray, "T 6 3 3"]:
         return np.linalg.inv(self._axes)
-
-
-class AdaptiveScale:
-    """Factors on the spread at each step, moved by whether the truth fell where it should (adaptive conformal).
-
-    There is one for joints that rest, for slow and for fast ones. log factor ← forget · log factor + rate · (joints
-    outside the region − (1 − level) · joints) / 6, each time a prediction comes due (Gibbs and Candès 2021, with leak).
-    """
-
-    def __init__(self, model: ErrorModel, steps: int, dt: float) -> None:
-        self._model = model
-        self._edges = np.array(SPEEDS) * dt
-        self._log = np.zeros((steps, len(SPEEDS) + 1))
-        self._means = np.zeros((steps, steps, 6, 3))
-        self._scales = np.ones((steps, steps, 6))
-        self._rotations = np.zeros((steps, 3, 3))
-        self._radii = np.ones(steps)
-        self._bins = np.zeros((steps, 6), dtype=np.intp)
-        self._known = np.zeros(steps, dtype=np.bool_)
-        self._newest = 0
-
-    def factor(self, speed: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6"]:
-        """(T, 6) by which to multiply the spread of joints of these speeds [m per frame]."""
-        return np.exp(self._log[:, self._bins_of(speed)])
-
-    def _bins_of(self, speed: Float[np.ndarray, "6"]) -> Int[np.ndarray, "6"]:
-        return np.searchsorted(self._edges, speed)
-
-    def skip(self, frames: int) -> None:
-        """Frames of which nothing is known."""
-        for _ in range(frames):
-            self._newest = (self._newest + 1) % len(self._known)
-            self._known[self._newest] = False
-
-    def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
-        """Judges what was predicted for this frame; NaN joints judge nothing. The newest was predicted one step ago."""
-        if not np.isfinite(pose).all():
-            return
-        rows = (self._newest - np.arange(len(self._log))) % len(self._log)
-        due = np.flatnonzero(self._known[rows])
-        rows = rows[due]
-        z = self._model.whitened(pose - self._means[rows, due], self._scales[rows, due], self._rotations[rows], due)
-        bins = self._bins[rows]
-        reach = self._radii[rows, None] * np.exp(np.take_along_axis(self._log[due], bins, axis=1))
-        missed = ((z**2).sum(axis=-1) > reach**2) - (1.0 - LEVEL)
-        for k in range(self._log.shape[1]):
-            moved = self._log[due, k] + RATE * np.where(bins == k, missed, 0.0).mean(axis=1)
-            self._log[due, k] = np.clip(np.where((bins == k).any(axis=1), FORGET * moved, moved), -MOST, MOST)
-
-    def predicted(
-        self,
-        mean: Float[np.ndarray, "T 6 3"],
-        scale: Float[np.ndarray, "T 6"],
-        rotation: Float[np.ndarray, "3 3"],
-        weights: Float[np.ndarray, " K"],
-        speed: Float[np.ndarray, "6"],
-    ) -> None:
-        """Keeps what is predicted from this frame on.
-
-        Mean [m], scale, rotation of the person's axes, weights of common factors, speed of the joints [m per frame].
-        """
-        self.skip(1)
-        self._known[self._newest] = True
-        self._radii[self._newest] = mixture_radius(weights, LEVEL)
-        self._bins[self._newest] = self._bins_of(speed)
-        self._means[self._newest], self._scales[self._newest], self._rotations[self._newest] = mean, scale, rotation
 
 
 def fit_error_model(errors: Errors, features: Float[np.ndarray, "B 6 F"], seed: int = 0) -> ErrorModel:
@@ -229,39 +173,67 @@ def fit_error_model(errors: Errors, features: Float[np.ndarray, "B 6 F"], seed: 
             shape[kind, t] = np.linalg.cholesky(_shape(scaled[:, t]))
             solved = np.linalg.solve(shape[kind, t], own[:, t].T).T
             unit[:, t, joints] = solved.reshape(len(errors), len(joints), 3)
-    square = np.einsum("btjd,btjd->btj", unit, unit) + 1e-8
-    slope, tail = _most_likely(slope, square, features, seed)
-    white = unit / np.exp(np.einsum("jtf,bjf->btj", slope[JOINT_TYPE], features))[..., None]
-    return ErrorModel(slope, shape, *_correlation(white), tail)
+    sizes = np.linalg.norm(errors, axis=-1)
+    reach = np.stack([np.quantile(sizes[:, :, kind == JOINT_TYPE], REACHED, axis=(0, 2)) for kind in range(3)])
+    reach = np.maximum(reach, FINEST)
+    least = _inverse_ceiling(reach, shape)
+    slope, tail = _most_likely(slope, least, unit, features, seed)
+    inverse = np.exp(-np.einsum("jtf,bjf->btj", slope[JOINT_TYPE], features)) + least[JOINT_TYPE].T
+    return ErrorModel(slope, reach, shape, *_correlation(unit * inverse[..., None]), tail)
+
+
+def _inverse_ceiling(reach: Float[np.ndarray, "3 T"], shape: Float[np.ndarray, "3 T 3 3"]) -> Float[np.ndarray, "3 T"]:
+    """(3, T) one over the largest scale: no error is expected to be larger than people were ever wrong about."""
+    return np.cbrt(np.linalg.det(shape)) / (CEILING * reach)
 
 
 def _most_likely(
     slope: Float[np.ndarray, "3 T F"],
-    square: Float[np.ndarray, "B T 6"],
+    inverse_ceiling: Float[np.ndarray, "3 T"],
+    unit: Errors,
     features: Float[np.ndarray, "B 6 F"],
     seed: int,
 ) -> tuple[Float[np.ndarray, "3 T F"], Float[np.ndarray, "F K"]]:
-    """Scales and common factors of maximum likelihood, joints and steps each for themselves; squared radii in [m²]."""
+    """Scales and common factors of maximum likelihood, of joints and of whole poses, each step for itself.
+
+    Added to the scale is what varies smoothly with the step; `unit` are errors over their shape [m].
+    """
     from kinecast.prediction.descent import descend, jax_in_one_thread
 
     jax = jax_in_one_thread()
     import jax.numpy as jnp
 
-    def loss(parameters, rows, _key):  # type: ignore[no-untyped-def]
-        slope, tail = parameters
-        radius, look = rows
-        log_scale = jnp.einsum("jtf,bjf->btj", slope[JOINT_TYPE], look)
-        log_weights = jax.nn.log_softmax(look.mean(axis=1) @ tail)[:, None, None]
-        z = radius * jnp.exp(-2.0 * log_scale)
-        log_density = log_weights - 0.5 * z[..., None] / SCALES**2 - 3.0 * jnp.log(SCALES)
-        return (3.0 * log_scale - jax.nn.logsumexp(log_density, axis=-1)).mean() + FIT_DECAY * (tail**2).sum()
+    steps, basis = unit.shape[1], step_basis(unit.shape[1])
+    white = unit / np.exp(np.einsum("jtf,bjf->btj", slope[JOINT_TYPE], features))[..., None]
+    poses = _alike(white).reshape(len(unit), steps, 18)
+    covariance = np.einsum("bti,btj->tij", poses, poses, optimize=True) / len(poses)
+    spread = np.sqrt(np.einsum("tii->ti", covariance))
+    correlation = covariance / spread[:, :, None] / spread[:, None] + FINEST * np.eye(18)
+    decorrelate = np.linalg.inv(np.linalg.cholesky(correlation))
 
-    start = [slope, np.zeros((features.shape[2], len(SCALES)))]
-    slope, tail = descend(
-        loss, start, (square, features), steps=FIT_STEPS, batch=FIT_BATCH, rate=FIT_RATE, decay=0.0, second=0.99,
+    def loss(parameters, rows, _key):  # type: ignore[no-untyped-def]
+        more, tail = parameters
+        unit, look = rows
+        slopes = slope + jnp.einsum("jkf,tk->jtf", more, basis)
+        log_scale = -jnp.einsum("jtf,bjf->btj", slopes[JOINT_TYPE], look)
+        log_scale = -jnp.logaddexp(log_scale, np.log(inverse_ceiling[JOINT_TYPE].T))
+        log_weights = jax.nn.log_softmax(look.mean(axis=1) @ tail)[:, None]
+        z = unit * jnp.exp(-log_scale)[..., None]
+        least = FINEST**2 * jnp.exp(-2.0 * log_scale)
+        joint = ((z**2).sum(-1) + least)[..., None] / SCALES**2
+        joint = jax.nn.logsumexp(log_weights[:, None] - 0.5 * joint - 3.0 * jnp.log(SCALES), axis=-1)
+        pose = jnp.einsum("tij,btj->bti", decorrelate, z.reshape(-1, steps, 18))
+        pose = ((pose**2).sum(-1) + least.sum(-1))[..., None] / SCALES**2
+        pose = jax.nn.logsumexp(log_weights - 0.5 * pose - 18.0 * jnp.log(SCALES), axis=-1)
+        likelihood = (1.0 - TOGETHER) * joint.mean() + TOGETHER * pose.mean() / 6.0 - 3.0 * log_scale.mean()
+        return -likelihood + FIT_DECAY * ((more**2).sum() + (tail**2).sum())
+
+    start = [np.zeros((3, basis.shape[1], features.shape[2])), np.zeros((features.shape[2], len(SCALES)))]
+    more, tail = descend(
+        loss, start, (unit, features), steps=FIT_STEPS, batch=FIT_BATCH, rate=FIT_RATE, decay=0.0, second=0.99,
         seed=seed,
     )  # fmt: skip
-    return slope, tail
+    return slope + np.einsum("jkf,tk->jtf", more, basis), tail
 
 
 def _log_scale(table: Float[np.ndarray, "B F"], target: Float[np.ndarray, "B T"]) -> Float[np.ndarray, "T F"]:
@@ -289,11 +261,10 @@ def _shape(unit: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "3 3"]:
 def _correlation(white: Errors) -> tuple[Float[np.ndarray, "T 6 3 R"], Float[np.ndarray, "T 6 3"]]:
     """Leading directions of the correlation, smooth in time, at unit spread of each number, and what they leave out.
 
-    Every example counts alike, however large its error: its common factor is divided out first. What of it is not
-    smooth is the sensor's noise, not the person's motion.
+    What is not smooth is the sensor's noise, not the person's motion.
     """
     steps = white.shape[1]
-    white = white / np.sqrt((white**2).mean(axis=(1, 2, 3), keepdims=True) + 1e-9)
+    white = _alike(white)
     early = np.sqrt(np.arange(1.0, steps + 1) / steps)  # errors change most in the first steps
     smooth = np.linalg.qr(np.cos(np.pi * np.outer(early, np.arange(min(SMOOTH, steps)))))[0]
     flat = np.einsum("tk,sk,bsjd->btjd", smooth, smooth, white, optimize=True).reshape(len(white), -1)
@@ -304,3 +275,8 @@ def _correlation(white: Errors) -> tuple[Float[np.ndarray, "T 6 3 R"], Float[np.
     held = np.linalg.norm(factor, axis=1, keepdims=True)
     rough = np.sqrt(np.maximum(1.0 - held**2, 0.0))
     return (factor / held).reshape(*white.shape[1:], kept), rough.reshape(white.shape[1:])
+
+
+def _alike(white: Errors) -> Errors:
+    """Every example at unit spread, however large its error: its common factor is divided out."""
+    return white / np.sqrt((white**2).mean(axis=(1, 2, 3), keepdims=True) + 1e-9)

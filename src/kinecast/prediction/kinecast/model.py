@@ -20,7 +20,8 @@ from kinecast.body.limits import JointLimits
 from kinecast.prediction.constraint import ConstraintFactor
 from kinecast.prediction.density import GaussianMixture, PoseDensity
 from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
-from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
+from kinecast.prediction.kinecast.adaptive_scale import AdaptiveScale
+from kinecast.prediction.kinecast.error_model import SCALES, ErrorModel, error_features
 from kinecast.prediction.kinecast.experts import TRIVIAL, Networks, forecasts, networks_from_arrays
 from kinecast.prediction.kinecast.features import WindowMotion, yaw_frame
 from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
@@ -223,7 +224,7 @@ class Kinecast:
             goals = goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
             draws *= rng.permutation(common)
             goals.move(draws, rng)
-        motions = sample_motions(observation, mean, factor, draws, rng, self.limits)
+        motions = sample_motions(observation, mean, factor, draws, self.limits, self.error_model.farthest)
         constraint = None
         if self.limits is not None:
             constraint = ConstraintFactor(
