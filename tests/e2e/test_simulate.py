@@ -43,7 +43,7 @@ def test_replan_changes_the_cube_in_mid_motion_and_comes_back_for_the_other(kine
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--scenario", "dance"), "avoid, reorder, replan, all"),
+        (("--scenario", "dance"), "avoid, reorder, replan, none, all"),
         (("--scenario", "avoid", "--predictor", "stars"), "kinecast, gp_constrained"),
         (("--person", "/nowhere.csv"), "nowhere.csv"),
         (("--seed", -1), "seed"),

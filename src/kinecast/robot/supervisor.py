@@ -129,7 +129,7 @@ class Supervisor:
         self._closed, self._since = False, 0.0
         self._asked = self._not_before = -np.inf
         self._failures, self._trouble = 0, ""
-        self._alarmed = False  # whether the person was about to take its cube when last looked
+        self._taken = self._alarm = False  # whether the person was about to take its cube; and nothing was asked since
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
         self._pace = Pace(0.0, Restraint.SILENCE, Separation(), 1.0)
@@ -189,10 +189,12 @@ class Supervisor:
         names = [name for name in self.sequence.remaining if not (held and name == self.target)]
         self.sequence.update(now, self.outlook.taken(names, now))
         taken = self.target is not None and self.sequence.is_taken(self.target)
-        alarmed, self._alarmed = taken and not self._alarmed, taken
-        rested = now - self._asked >= self.options.again
+        self._alarm = taken and (self._alarm or not self._taken)
+        self._taken = taken
+        due = (self._alarm and self.step is Step.REACH) or now - self._asked >= self.options.again
         under_way = self._trajectory is not None and self.step in (Step.REACH, Step.CARRY) and not self.busy
-        if under_way and self.outlook.predictions and (rested or (alarmed and self.step is Step.REACH)):
+        if under_way and due and self.outlook.predictions:
+            self._alarm = False
             self._ask("better", now)
 
     @property
@@ -369,10 +371,8 @@ class Supervisor:
             pass  # or it comes too late: the step is another
         elif answer.choice is not None:
             self._failures, self._trouble = 0, ""
-            if answer.choice.plan is not None and self.executor.at_rest:
-                self._adopt(answer.choice, now)
-            elif answer.choice.plan is not None:
-                self._next = answer.choice
+            if answer.choice.plan is not None:
+                self._take_up(answer.choice, now)
         elif answer.request.why == "better":
             self._asked = now + self.options.retry
         elif answer.crashed:
@@ -380,18 +380,25 @@ class Supervisor:
         else:
             self._no_way(answer.reason, now)
 
-    def _adopt(self, choice: Choice, now: float) -> None:
-        """Follows a new path."""
-        assert choice.plan is not None
+    def _take_up(self, choice: Choice, now: float) -> None:
+        """Does something else from now on: at once if it stands, or brakes for it."""
         option, under_way = choice.option, self._trajectory is not None
         if option.step is Step.REACH and option.target != self.target:
             if self.target is not None or option.target != self.sequence.remaining[0]:
                 self._reaction = Reaction.TAKE_ANOTHER if self.target is None else Reaction.CHANGE_CUBE
                 self.replans += 1
             self.target = option.target
-        if under_way and self._reaction is None and option.step is self.step and option.step is not Step.REST:
+        elif under_way and self._purpose is self.step and self.step is not Step.REST:
             self._reaction = Reaction.GO_AROUND
             self.replans += 1
+        if self.executor.at_rest:
+            self._adopt(choice, now)
+        else:
+            self._next = choice
+
+    def _adopt(self, choice: Choice, now: float) -> None:
+        """Follows a new path."""
+        assert choice.plan is not None
         self._choice, self._foretold = choice, (now - choice.wait, choice.time)
         self._follow(choice.plan.trajectory)
 
