@@ -11,6 +11,7 @@ from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
 from kinecast.prediction.density import GaussianMixture, PoseDensity
+from kinecast.prediction.kinecast import error_model, weights
 from kinecast.prediction.kinecast.adaptive_scale import LEVEL, AdaptiveScale
 from kinecast.prediction.kinecast.error_model import CEILING, SCALES, fit_error_model, mixture_radius
 from kinecast.prediction.kinecast.experts import (
@@ -67,13 +68,19 @@ def method(windows: TrainingWindows) -> Kinecast:
 
 
 class TestTraining:
-    def test_the_same_seed_gives_the_same_model_to_the_last_bit(
-        self, method: Kinecast, windows: TrainingWindows
-    ) -> None:
-        again = fit_kinecast(windows, SMALL).to_arrays()
-        for name, array in method.to_arrays().items():
+    @pytest.fixture
+    def _short(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Gate and error model descend for less long: whether they do so alike takes no more."""
+        for module in (error_model, weights):
+            monkeypatch.setattr(module, "FIT_STEPS", 100)
+
+    @pytest.mark.usefixtures("_short")
+    def test_the_same_seed_gives_the_same_model_to_the_last_bit(self, windows: TrainingWindows) -> None:
+        once, again = (fit_kinecast(windows, SMALL).to_arrays() for _ in range(2))
+        for name, array in once.items():
             np.testing.assert_array_equal(again[name], array, err_msg=name)
 
+    @pytest.mark.usefixtures("_short")
     def test_another_seed_gives_another(self, method: Kinecast, windows: TrainingWindows) -> None:
         told: list[tuple[int, int]] = []
         other = fit_kinecast(windows, replace(SMALL, seed=1), lambda done, total: told.append((done, total)))
