@@ -75,8 +75,6 @@ class Cell:
         person: (4, 4) T_cell_person, where somebody at the table stands: on the floor, x forward, z up.
         separation: constants of speed and separation monitoring.
         delay: of the camera, from taking a shot to knowing it [s].
-        failsafe: whether the arm is held back by where people may be, too (kinecast.robot.failsafe): where monitoring's
-            constants are short of what is true of people.
     """
 
     cubes: tuple[Cube, ...] = field(default_factory=_cubes)
@@ -87,7 +85,6 @@ class Cell:
     person: Float[np.ndarray, "4 4"] = field(default_factory=lambda: standing_at(1.33, 0.0))
     separation: SeparationOptions = CAMERA
     delay: float = 0.05
-    failsafe: bool = False
 
     def __post_init__(self) -> None:
         names = [cube.name for cube in self.cubes]
@@ -139,7 +136,6 @@ CELLS: dict[str, Callable[[], Cell]] = {
         person=standing_at(1.15, 0.0),
         separation=SeparationOptions(),
         delay=0.04,
-        failsafe=True,
     ),
     "camera": Cell,
     "certified": lambda: Cell(separation=replace(CAMERA, least_speed=1.6)),

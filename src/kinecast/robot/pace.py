@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
-from kinecast.robot.failsafe import FailsafeOptions, free_speed
 from kinecast.robot.outlook import Outlook, Path
 from kinecast.robot.separation import Separation, SeparationOptions, separation
 
@@ -20,7 +19,7 @@ class Restraint(Enum):
     """What holds the arm back."""
 
     NOTHING = "nothing"
-    PREDICTION = "where a person may be when it gets there"
+    DOUBT = "a person of whom nobody can say what they will do"
     SEPARATION = "the safety distance"
     SILENCE = "the camera"
     UNSEEN = "a person whose arms were never seen"
@@ -32,15 +31,17 @@ class PaceOptions:
 
     Attributes:
         silence: without a shot for this long, nobody knows who is there [s].
-        failsafe: by prediction.
+        doubt: share of the planned speed beside somebody whose prediction is not OK, or too old.
     """
 
     silence: float = 0.2
-    failsafe: FailsafeOptions = field(default_factory=FailsafeOptions)
+    doubt: float = 0.5
 
     def __post_init__(self) -> None:
         if not self.silence > 0:
             raise OptionError(f"silence {self.silence} s must be above 0")
+        if not 0 <= self.doubt <= 1:
+            raise OptionError(f"doubt {self.doubt} is outside 0..1")
 
 
 @dataclass(frozen=True)
@@ -51,13 +52,11 @@ class Pace:
         speed: share of the planned speed, 0..1.
         restraint: what holds the arm back most.
         separation: what the measured distance asks for at the present speed.
-        predicted: the share that the prediction alone would allow.
     """
 
     speed: float
     restraint: Restraint
     separation: Separation
-    predicted: float
 
 
 def allowed_pace(
@@ -69,7 +68,7 @@ def allowed_pace(
     now: float,
     options: PaceOptions,
 ) -> Pace:
-    """The least of what prediction, measurement and camera allow.
+    """The least of what measurement and camera allow, and half where the predictions are in doubt.
 
     Args:
         outlook: what is known of the people.
@@ -79,22 +78,21 @@ def allowed_pace(
         now: [s].
         options: see PaceOptions.
     """
-    predicted = 1.0
-    if outlook.cell.failsafe:
-        predicted = free_speed(outlook.arm, path, now, outlook.occupancy, options.failsafe)
     present, full = _separations(outlook, q, qd, path, now, outlook.cell.separation)
     # The arm may not yet move as its path says, or not as fast: both what it does and what it is about to do count.
     measured = min(full.scale, present.scale * speed if present.scale < 1.0 else 1.0)
-    limits = [(predicted, Restraint.PREDICTION), (measured, Restraint.SEPARATION)]
+    limits = [(measured, Restraint.SEPARATION)]
+    if len(outlook.trusted(now)) < len(outlook.predictions):
+        limits.insert(0, (options.doubt, Restraint.DOUBT))
     if now - outlook.basis > options.silence:
         limits.append((0.0, Restraint.SILENCE))
     if outlook.watch.unseen():
         limits.append((0.0, Restraint.UNSEEN))
     least = min(limit for limit, _ in limits)
     if least >= 1.0:
-        return Pace(1.0, Restraint.NOTHING, present, predicted)
+        return Pace(1.0, Restraint.NOTHING, present)
     cause = [restraint for limit, restraint in limits if limit <= least][-1]
-    return Pace(least, cause, present, predicted)
+    return Pace(least, cause, present)
 
 
 def _separations(

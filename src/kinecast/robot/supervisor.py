@@ -132,7 +132,7 @@ class Supervisor:
         self._taken = self._alarm = False  # whether the person was about to take its cube; and nothing was asked since
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
-        self._pace = Pace(0.0, Restraint.SILENCE, Separation(), 1.0)
+        self._pace = Pace(0.0, Restraint.SILENCE, Separation())
         self._conduct = Conduct(self.options.rise, self.options.settle)
         self._decision = Decision(0.0, RobotState.WAITING, "It has not begun.", speed=0.0)
 
@@ -204,7 +204,7 @@ class Supervisor:
 
     def _evade(self, now: float) -> None:
         """Draws back where it is held for long, and takes its step up again from there."""
-        held = self._pace.speed < HELD and self._pace.restraint in (Restraint.PREDICTION, Restraint.SEPARATION)
+        held = self._pace.speed < HELD and self._pace.restraint in (Restraint.DOUBT, Restraint.SEPARATION)
         if not held or self.step not in AFTER_EVADING:
             self._held_since = None
         elif self._held_since is None:

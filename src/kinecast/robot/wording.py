@@ -65,12 +65,10 @@ def reason_of(
     if trouble:
         return trouble
     if state is RobotState.WAITING:
-        if cause is Restraint.PREDICTION:
-            return f"A person is about to be on the way {errand}."
         return f"A path is sought {errand}."
     if state is RobotState.REPLANNING:
         return f"Another path is sought {errand}; meanwhile it slows down."
     if state is RobotState.SLOWED:
-        what = "may soon be on the way" if cause is Restraint.PREDICTION else "is near"
-        return f"On the way {errand}, slowly: a person {what}."
+        why = "nobody can say what the person will do" if cause is Restraint.DOUBT else "a person is near"
+        return f"On the way {errand}, slowly: {why}."
     return f"{errand[0].upper()}{errand[1:]}."
