@@ -35,7 +35,7 @@ class PaceOptions:
     """
 
     silence: float = 0.2
-    doubt: float = 0.5
+    doubt: float = 0.75
 
     def __post_init__(self) -> None:
         if not self.silence > 0:
@@ -68,7 +68,7 @@ def allowed_pace(
     now: float,
     options: PaceOptions,
 ) -> Pace:
-    """The least of what measurement and camera allow, and half where the predictions are in doubt.
+    """The least of what measurement and camera allow, and less than full speed where predictions are in doubt.
 
     Args:
         outlook: what is known of the people.
