@@ -115,14 +115,9 @@ class Attempt:
         """
         chomp = self.options.chomp
         count = chomp.waypoints
-        path: Float[np.ndarray, "W 6"] | None = None
-        longer = 1.0
-        if corners is not None:
-            s = np.linspace(0.0, 1.0, count)
-            path = evenly(corners, 10 * s**3 - 15 * s**4 + 6 * s**5)
-            longer = float(np.abs(np.diff(path, axis=0)).sum(axis=0).max() / max(np.abs(goal - self.q).max(), 0.1))
-        duration = self._slowed(goal, self.duration(goal, longer=max(longer, 1.0)))
-        reference = self._smoothest(goal, duration)
+        path, duration = self._along(goal, corners, count)
+        duration = self._slowed(goal, duration)
+        reference = self._smoothest(goal, duration, count)
         path = reference if path is None else path
         blocked = ""
         for _ in range(4):
@@ -135,7 +130,7 @@ class Attempt:
             if stretch > 1.0:
                 blocked = "its own speed"
                 duration *= stretch
-                before, reference = reference, self._smoothest(goal, duration)
+                before, reference = reference, self._smoothest(goal, duration, count)
                 path = path + reference - before  # a moving start leads on differently at another pace
                 continue
             clearance = self.checker.check(trajectory, self.occupancy)
@@ -152,20 +147,14 @@ class Attempt:
         goal: Float[np.ndarray, "6"],
         corners: Float[np.ndarray, "M 6"] | None,
         people: Occupancy,
+        slowing: tuple[float, float, float, float, float],
         chomp: ChompOptions,
     ) -> Trajectory | None:
         """A way that bends where monitoring would slow the arm down beside people; None where it meets the scene."""
-        count = chomp.waypoints
-        longer, path = 1.0, None
-        if corners is not None:
-            s = np.linspace(0.0, 1.0, count)
-            path = evenly(corners, 10 * s**3 - 15 * s**4 + 6 * s**5)
-            longer = float(np.abs(np.diff(path, axis=0)).sum(axis=0).max() / max(np.abs(goal - self.q).max(), 0.1))
-        duration = self.duration(goal, longer=max(longer, 1.0))
-        reference = smoothest(self.q, goal, count, duration / (count - 1), self.velocity, self.acceleration)
-        times = self.start_time + np.linspace(0.0, duration, count)
-        surroundings = self.surroundings(times)
-        surroundings = replace(surroundings, capsules=people.rows_at(times))
+        path, duration = self._along(goal, corners, chomp.waypoints)
+        reference = self._smoothest(goal, duration, chomp.waypoints)
+        times = self.start_time + np.linspace(0.0, duration, chomp.waypoints)
+        surroundings = replace(self.surroundings(times), capsules=people.rows_at(times), slowing=slowing)
         path, _, _ = optimise(self.arm, reference if path is None else path, reference, surroundings, chomp)
         trajectory = Trajectory(times, path)
         for _ in range(3):
@@ -174,6 +163,17 @@ class Attempt:
                 break
             trajectory = trajectory.stretched(stretch)
         return trajectory if self.checker.check(trajectory, self.occupancy).free else None
+
+    def _along(
+        self, goal: Float[np.ndarray, "6"], corners: Float[np.ndarray, "M 6"] | None, count: int
+    ) -> tuple[Float[np.ndarray, "W 6"] | None, float]:
+        """Waypoints along corners, if there are any, and the time that this way takes from rest [s]."""
+        if corners is None:
+            return None, self.duration(goal)
+        s = np.linspace(0.0, 1.0, count)
+        path = evenly(corners, 10 * s**3 - 15 * s**4 + 6 * s**5)
+        longer = float(np.abs(np.diff(path, axis=0)).sum(axis=0).max() / max(np.abs(goal - self.q).max(), 0.1))
+        return path, self.duration(goal, longer=max(longer, 1.0))
 
     def legs(self, corners: Float[np.ndarray, "M 6"]) -> tuple[Trajectory, Clearance] | str:
         """A checked trajectory straight from corner to corner, at rest in each, or what was in its way."""
@@ -189,8 +189,7 @@ class Attempt:
         clearance = self.checker.check(trajectory, self.occupancy)
         return (trajectory, clearance) if clearance.free else f"{clearance.what} is in the way"
 
-    def _smoothest(self, goal: Float[np.ndarray, "6"], duration: float) -> Float[np.ndarray, "W 6"]:
-        count = self.options.chomp.waypoints
+    def _smoothest(self, goal: Float[np.ndarray, "6"], duration: float, count: int) -> Float[np.ndarray, "W 6"]:
         return smoothest(self.q, goal, count, duration / (count - 1), self.velocity, self.acceleration)
 
     def _slowed(self, goal: Float[np.ndarray, "6"], duration: float) -> float:
@@ -199,7 +198,8 @@ class Attempt:
             return duration
         for _ in range(4):
             times = self.start_time + np.linspace(0.0, duration, self.options.chomp.waypoints)
-            trajectory = Trajectory(times, self._smoothest(goal, duration), self.velocity, self.acceleration)
+            q = self._smoothest(goal, duration, len(times))
+            trajectory = Trajectory(times, q, self.velocity, self.acceleration)
             stretch = self._stretch(trajectory)
             if stretch <= 1.0:
                 break

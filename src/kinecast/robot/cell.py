@@ -42,11 +42,11 @@ class Cube:
     size: float = 0.05
 
 
-def _cubes(x: float = 0.46, apart: float = 0.38, first: float = 0.0) -> tuple[Cube, ...]:
+def _cubes(apart: float = 0.38, first: float = 0.0) -> tuple[Cube, ...]:
     """Red, green and blue in a row across the table, so far apart; their places in a row at the arm's side."""
     height = TABLE_TOP + 0.025
     return tuple(
-        Cube(name, np.array([x, y, height]), np.array([first - k * 0.12, -0.5, height]))
+        Cube(name, np.array([0.46, y, height]), np.array([first - k * 0.12, -0.5, height]))
         for k, (name, y) in enumerate((("red", apart), ("green", 0.0), ("blue", -apart)))
     )
 
@@ -132,7 +132,7 @@ def standing_at(x: float, y: float) -> Float[np.ndarray, "4 4"]:
 
 CELLS: dict[str, Callable[[], Cell]] = {
     "lab": lambda: Cell(
-        _cubes(0.46, 0.32, 0.12),
+        _cubes(0.32, 0.12),
         person=standing_at(1.15, 0.0),
         separation=SeparationOptions(),
         delay=0.04,

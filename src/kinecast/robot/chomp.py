@@ -33,7 +33,6 @@ class ChompOptions:
         person_zone: beyond it, in which the cost rises [m].
         scene_margin, scene_zone: the same for the scene [m].
         obstacle_step, smooth_step: step sizes η of the two costs.
-        slowing: what monitoring costs beside persons (kinecast.robot.descent.descend); none by default.
         largest_change: of an angle in one iteration [rad].
         least_iterations, most_iterations: it stops between the two once the least distances are kept.
         patience: it also stops after so many iterations in which the least distance did not grow.
@@ -47,7 +46,6 @@ class ChompOptions:
     obstacle_step: float = 2.0
     smooth_step: float = 0.03
     largest_change: float = 0.1
-    slowing: tuple[float, float, float, float, float] = (0.0, 1.0, 1.0, 1.0, 0.0)
     least_iterations: int = 10
     most_iterations: int = 100
     patience: int = 20
@@ -56,7 +54,7 @@ class ChompOptions:
         if self.waypoints < 6:
             raise OptionError(f"waypoints {self.waypoints} must be at least 6")
         for name, value in vars(self).items():
-            if name != "slowing" and not 0 <= value < np.inf:
+            if not 0 <= value < np.inf:
                 raise OptionError(f"{name} {value} must be 0 or more")
 
 
@@ -68,11 +66,13 @@ class Surroundings:
         capsules: (W, K, 7) start, end and radius of persons' capsules [m].
         obstacles: (W, O, 17) rows of the scene's obstacles (kinecast.geometry.distances).
         first_link: (O,) the first of `LINKS` that each obstacle counts for.
+        slowing: what monitoring costs beside persons (kinecast.robot.descent.descend); nothing by default.
     """
 
     capsules: Float[np.ndarray, "W K 7"]
     obstacles: Float[np.ndarray, "W O 17"]
     first_link: Int[np.ndarray, " O"]
+    slowing: tuple[float, float, float, float, float] = (0.0, 1.0, 1.0, 1.0, 0.0)
 
 
 @lru_cache(maxsize=8)
@@ -147,7 +147,7 @@ def optimise(
         np.ascontiguousarray(reference[1:-1]),
         np.ascontiguousarray(arm.q_range),
         (options.person_margin, options.person_zone, options.scene_margin, options.scene_zone),
-        options.slowing,
+        surroundings.slowing,
         (options.obstacle_step, options.smooth_step, options.largest_change),
         options.least_iterations,
         options.most_iterations,

@@ -84,8 +84,6 @@ SCENARIOS = {
 """The paper's three demonstrations."""
 UNSCRIPTED = "none"
 """An episode beside somebody who does what they would, and minds the arm."""
-LIMIT = 120.0
-"""When an episode is over at the latest [s]."""
 
 
 def scripted_person(scenario: Scenario, seed: int, cell: Cell, duration: float = 30.0) -> PlayedPerson:
@@ -282,4 +280,4 @@ def simulate_scenario(
     if name == UNSCRIPTED and isinstance(person, PlayedPerson):
         person = ReactivePerson(person)
     camera = Camera(CameraOptions(delay=cell.delay, seed=seed))
-    return Simulation([person], forecasters.make(predictor, [person]), camera, cell, options, limit=LIMIT)
+    return Simulation([person], forecasters.make(predictor, [person]), camera, cell, options)

@@ -31,7 +31,6 @@ class Step(Enum):
     LOWER = "lowering the cube"
     OPEN = "opening the gripper"
     RISE = "up from the cube"
-    BACK_UP = "up again without the cube"
     REST = "to where it rests"
 
     @property

@@ -16,16 +16,14 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.robot.motions import Motions
+from kinecast.robot.motions import STEP, Motions
 from kinecast.robot.separation import SeparationOptions, allowed_speed, closest_points
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["STEP", "TravelTime", "travel_time"]
+__all__ = ["RISE", "TravelTime", "travel_time"]
 
-STEP = 0.1
-"""Of the roll-out, and between the looked-at configurations of a path [s]."""
 RISE = 3.0
-"""How fast the clock may speed up again [1/s] (kinecast.robot.supervisor)."""
+"""How fast the clock may speed up again [1/s]."""
 MEASURED = 0.1
 """What the noise of a camera adds to the speed at which monitoring takes people to come [m/s]."""
 TAIL = 0.1

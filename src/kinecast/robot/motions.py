@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.robot.occupancy import Occupancy, OccupancyOptions
-from kinecast.robot.regions import STARTS, STOPS, regions
+from kinecast.robot.regions import STARTS, STOPS, body_points, regions
 from kinecast.types import Prediction
 
-__all__ = ["STEP", "Motions", "PoseHistory", "motions_of"]
+__all__ = ["STEP", "Motions", "PoseHistory", "likely", "motions_of"]
 
 STEP = 0.1
-"""Between two instants of a motion [s]."""
+"""Between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]."""
 AHEAD = 6.0
 """Motions are carried on so far [s]."""
 SAMPLES = 40
@@ -154,27 +154,11 @@ def motions_of(
         [_arms(prediction, history, now, rng) for prediction, history in zip(predictions, histories, strict=True)],
         axis=2,
     )
-    wrist, elbow = arms[..., [2, 5], :], arms[..., [1, 4], :]
-    along = wrist - elbow
-    length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-6)
-    middle = 0.5 * (arms[..., 0:1, :] + arms[..., 3:4, :])
-    up = np.array([0.0, 0.0, 1.0])
-    points = np.concatenate(
-        [
-            arms, wrist + options.hand_length * along / length, middle, middle - options.trunk_length * up,
-            middle + options.head_height * up,
-        ],
-        axis=-2,
-    )  # fmt: skip
+    lengths = (options.hand_length, options.trunk_length, options.head_height)
+    points = body_points(np.ascontiguousarray(arms).reshape(-1, 6, 3), *lengths)
     whole = (*arms.shape[:2], -1, 3)
-    start, end = points[..., STARTS, :].reshape(whole), points[..., STOPS, :].reshape(whole)
-    return Motions(
-        arms,
-        np.ascontiguousarray(start),
-        np.ascontiguousarray(end),
-        np.tile(options.radii, len(predictions)),
-        (options.hand_length, options.trunk_length, options.head_height),
-    )
+    start, end = (np.ascontiguousarray(points[:, ends]).reshape(whole) for ends in (STARTS, STOPS))
+    return Motions(arms, start, end, np.tile(options.radii, len(predictions)), lengths)
 
 
 def _arms(

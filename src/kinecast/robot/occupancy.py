@@ -13,7 +13,18 @@ from kinecast.robot.distances import capsules_at, signed_distances
 from kinecast.robot.regions import STARTS, STOPS, regions
 from kinecast.types import Prediction, SkeletonFrame, Status
 
-__all__ = ["PARTS", "Occupancy", "OccupancyOptions", "arms_of", "measured", "occupied", "reachable", "seen", "standing"]
+__all__ = [
+    "PARTS",
+    "Occupancy",
+    "OccupancyOptions",
+    "arms_of",
+    "is_trusted",
+    "measured",
+    "occupied",
+    "reachable",
+    "seen",
+    "standing",
+]
 
 PARTS = (
     "left_upper_arm", "left_forearm", "left_hand", "right_upper_arm", "right_forearm", "right_hand",
@@ -172,13 +183,14 @@ def occupied(predictions: Sequence[Prediction], now: float, options: OccupancyOp
     options = options or OccupancyOptions()
     persons = []
     for prediction in predictions:
-        trusted = (
-            prediction.status is Status.OK
-            and now - prediction.stamp <= options.stale_after + 1e-9
-            and bool(np.isfinite(prediction.samples).all())
-        )
+        trusted = is_trusted(prediction, now, options) and bool(np.isfinite(prediction.samples).all())
         persons.append(_predicted(prediction, options) if trusted else _unpredicted(prediction, now, options))
     return _joined(persons, now, options)
+
+
+def is_trusted(prediction: Prediction, now: float, options: OccupancyOptions) -> bool:
+    """Whether a prediction says more than what can be reached: its status is OK, and it is not too old."""
+    return prediction.status is Status.OK and now - prediction.stamp <= options.stale_after + 1e-9
 
 
 def reachable(predictions: Sequence[Prediction], now: float, options: OccupancyOptions | None = None) -> Occupancy:

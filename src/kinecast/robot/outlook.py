@@ -10,19 +10,16 @@ from jaxtyping import Float
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
 from kinecast.robot.motions import Motions, PoseHistory, motions_of
-from kinecast.robot.occupancy import Occupancy, OccupancyOptions, arms_of, occupied, standing
+from kinecast.robot.occupancy import Occupancy, OccupancyOptions, arms_of, is_trusted, occupied, standing
 from kinecast.robot.overlap import reach_probabilities
 from kinecast.robot.ur5 import UR5
 from kinecast.robot.watch import Watch, WatchOptions
-from kinecast.types import Prediction, Status
+from kinecast.types import Prediction
 
 __all__ = ["Outlook", "Path"]
 
 Path = Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N 6"]]
 """Configurations [rad] so many seconds from now."""
-
-REFRESH = 0.03
-"""While the camera is silent, what may be occupied is found anew after so long [s]."""
 
 
 class Outlook:
@@ -38,9 +35,7 @@ class Outlook:
     def __init__(self, arm: UR5, cell: Cell, options: OccupancyOptions, touch: float) -> None:
         self.arm, self.cell, self.options, self.touch = arm, cell, options, touch
         self.watch = Watch(WatchOptions(body=options))
-        self.occupancy = Occupancy.empty()
         self.predictions: tuple[Prediction, ...] = ()
-        self._updated = -np.inf
         self._histories: dict[str, PoseHistory] = {}
 
     @property
@@ -56,16 +51,10 @@ class Outlook:
         self._histories = {name: each for name, each in self._histories.items() if name in self.watch.persons}
         kept = {each.person: each for each in (*self.predictions, *predictions)}
         self.predictions = tuple(kept[name] for name in self.watch.persons if name in kept)
-        self._update(now)
 
-    def refresh(self, now: float) -> None:
-        """Occupied space grows old: makes it anew where that was too long ago."""
-        if now - self._updated >= REFRESH + 1e-9:
-            self._update(now)
-
-    def _update(self, now: float) -> None:
-        self._updated = now
-        self.occupancy = occupied(self.predictions, now, self.options) if self.predictions else Occupancy.empty(now)
+    def occupancy(self, now: float) -> Occupancy:
+        """Space that may be filled, for pictures."""
+        return occupied(self.predictions, now, self.options)
 
     def motions(self, now: float) -> Motions | None:
         """What everybody may do in the next seconds; None where nothing is predicted.
@@ -74,15 +63,13 @@ class Outlook:
         """
         if not self.predictions:
             return None
-        trusted = self.trusted(now)
-        shown = [each if any(each is other for other in trusted) else standing(each) for each in self.predictions]
+        shown = [each if is_trusted(each, now, self.options) else standing(each) for each in self.predictions]
         histories = [self._histories.get(each.person, PoseHistory()) for each in shown]
         return motions_of(shown, histories, now, self.options, round(1e3 * now))
 
     def trusted(self, now: float) -> list[Prediction]:
         """Predictions that say more than what can be reached."""
-        oldest = self.options.stale_after + 1e-9
-        return [each for each in self.predictions if each.status is Status.OK and now - each.stamp <= oldest]
+        return [each for each in self.predictions if is_trusted(each, now, self.options)]
 
     def taken(self, names: Sequence[str], now: float) -> dict[str, float]:
         """Per cube, the probability that somebody reaches for it; 1 where a hand is there already."""

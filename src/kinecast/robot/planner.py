@@ -139,34 +139,25 @@ class Planner:
             people: where they may be; they are no obstacles, they cost time.
             start_time: [s].
             separation: of monitoring.
-        """  # fmt: skip
+        """
         job = Attempt(self.checker, self.options, q, Occupancy.empty(start_time), start_time)
         half = separation.least_speed + separation.braking * separation.reaction
         slowing = (separation.constant, half, separation.braking, WANTED, 0.3)
-        chomp = replace(
-            self.options.chomp,
-            slowing=slowing,
-            person_margin=0.0,
-            waypoints=24,
-            least_iterations=25,
-            most_iterations=40,
-        )
+        chomp = replace(self.options.chomp, person_margin=0.0, waypoints=24, least_iterations=25, most_iterations=40)
         goal = goals[plan.goal]
-        inside = self._inside(q, goal)
-        for corners in (None, inside):
-            trajectory = job.bent(goal, corners, people, chomp) if corners is None or len(corners) else None
+        for corners in (None, *self._inside(q, goal)):
+            trajectory = job.bent(goal, corners, people, slowing, chomp)
             if trajectory is not None:
                 yield Plan(trajectory, plan.clearance, "chomp", 0.0, plan.goal)
 
-    def _inside(self, q: Float[np.ndarray, "6"], goal: Float[np.ndarray, "6"]) -> Float[np.ndarray, "M 6"]:
+    def _inside(self, q: Float[np.ndarray, "6"], goal: Float[np.ndarray, "6"]) -> list[Float[np.ndarray, "3 6"]]:
         """Corners of a way past the arm's own foot, the hand drawn in; none where it cannot be."""
         start, end = (self.arm.forward_kinematics(each)[:3, 3] for each in (q, goal))
-        first, last = math.atan2(start[1], start[0]), math.atan2(end[1], end[0])
-        turn = 0.5 * (first + last)
+        turn = 0.5 * (math.atan2(start[1], start[0]) + math.atan2(end[1], end[0]))
         T = np.diag([1.0, -1.0, -1.0, 1.0])
         T[:3, 3] = DRAWN_IN[0] * math.cos(turn), DRAWN_IN[0] * math.sin(turn), DRAWN_IN[1]
         found = nearest(postures(self.arm, T), 0.5 * (q + goal), self.arm.q_range, 1)
-        return np.stack([q, found[0], goal]) if len(found) else found
+        return [np.stack([q, middle, goal]) for middle in found]
 
     def _attempt(self, job: Attempt, goals: Float[np.ndarray, "G 6"], end: float, seed: int) -> Plan | str:
         """A plan, or the reason why there is none."""

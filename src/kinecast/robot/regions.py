@@ -8,7 +8,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-__all__ = ["STARTS", "STOPS", "regions"]
+__all__ = ["STARTS", "STOPS", "body_points", "regions"]
 
 STARTS = np.array([0, 1, 2, 3, 4, 5, 0, 8, 10])
 STOPS = np.array([1, 2, 6, 4, 5, 7, 3, 9, 10])
@@ -55,6 +55,16 @@ def regions(
                 reach[s] = max(start, end)
             out[t, k, 6] = math.sqrt(_ranked(reach, held))
     return out
+
+
+@njit(cache=True)
+@no_type_check
+def body_points(arms: np.ndarray, hand_length: float, trunk_length: float, head_height: float) -> np.ndarray:
+    """(N, 11, 3) points of bodies whose arm joints are (N, 6, 3) [m]; lengths as in `regions`."""
+    points = np.empty((len(arms), 11, 3))
+    for n in range(len(arms)):
+        _points(arms[n], hand_length, trunk_length, head_height, points[n])
+    return points
 
 
 @njit(cache=True)

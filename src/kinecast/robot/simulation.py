@@ -181,7 +181,7 @@ class Simulation:
         if predictions:
             samples = predictions[0].samples
             region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
-        start, end, radius = self.supervisor.outlook.occupancy.at(now + 0.25)
+        start, end, radius = self.supervisor.outlook.occupancy(now).at(now + 0.25)
         ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
         way = np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead])
         return Scenery(

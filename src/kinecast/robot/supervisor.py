@@ -16,13 +16,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.robot.attempt import PlannerOptions
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, ChoiceOptions, Option, Request
 from kinecast.robot.conduct import Conduct
 from kinecast.robot.errand import Places, Step, straight
 from kinecast.robot.execution import Executor
-from kinecast.robot.expected_time import STEP, TravelTime
+from kinecast.robot.expected_time import RISE, TravelTime
+from kinecast.robot.motions import STEP
 from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.outlook import Outlook
 from kinecast.robot.pace import Pace, PaceOptions, Restraint, allowed_pace
@@ -71,8 +73,7 @@ class SupervisorOptions:
     touch: float = 0.06
     evade: float = 2.0
     settle: float = 0.15
-    rise: float = 3.0
-    usual_speed: float = 1.57
+    rise: float = RISE
     pace: PaceOptions = field(default_factory=PaceOptions)
     occupancy: OccupancyOptions = field(default_factory=OccupancyOptions)
     sequence: SequenceOptions = field(default_factory=SequenceOptions)
@@ -161,7 +162,6 @@ class Supervisor:
     def control(self, now: float) -> Command:
         """The next control step; never raises, never waits."""
         try:
-            self.outlook.refresh(now)
             self._take_answer(now)
             self._advance(now)
             self._pace = allowed_pace(
@@ -241,11 +241,11 @@ class Supervisor:
             self._go_straight(0.0, Step.LOWER, now)
         elif arrived and step is Step.LOWER:
             self._grip(False, Step.OPEN, now)
-        elif arrived and step in (Step.RISE, Step.BACK_UP):
-            if step is Step.RISE and self.target is not None:
-                self._arrived_as_foretold(now)
-                self.sequence.finish(self.target)
-                self.target = None
+        elif arrived and step is Step.RISE:
+            assert self.target is not None
+            self._arrived_as_foretold(now)
+            self.sequence.finish(self.target)
+            self.target = None
             self._stand(Step.NONE)
             self._choose(now)
         elif arrived and step is Step.REST:
@@ -284,7 +284,7 @@ class Supervisor:
             self._trajectory = None
         self._ask("path", now)
 
-    def _go_straight(self, above: float, step: Step, now: float) -> bool:
+    def _go_straight(self, above: float, step: Step, now: float) -> None:
         """Down to a cube or its place, or up again; stays where the arm cannot."""
         assert self.target is not None
         cube = self.cell.cube(self.target)
@@ -293,10 +293,9 @@ class Supervisor:
         way = straight(self.arm, self.executor.q, to, self.options.choice.vertical, now)
         if way is None:
             self._trouble = f"There is no straight way for {step.value}."
-            return False
+            return
         self.step = step
         self._follow(way)
-        return True
 
     def _grip(self, closed: bool, step: Step, now: float) -> None:
         self._closed, self.step, self._since = closed, step, now
@@ -316,7 +315,7 @@ class Supervisor:
         """Asks for the best way from where the arm will stand if it brakes when the answer is there.
 
         Args:
-            why: `better`: than what it does; `another` cube; or a `path` for the step it is in.
+            why: `better` than what it does, or a `path` for the step it is in.
             now: [s].
         """
         options = self._options()
@@ -332,7 +331,7 @@ class Supervisor:
 
     def _options(self) -> tuple[Option, ...]:
         """What may be done in this step, what it does now first."""
-        q, speed = self.executor.q, self.options.usual_speed
+        q = self.executor.q
         if self.step is Step.REST:
             return (Option(Step.REST, self.target, self._places.rest(q), None),)
         if self.step is Step.CARRY:
@@ -344,7 +343,7 @@ class Supervisor:
             place = self.cell.cube(name).position
             price = 0.0 if name == names[0] else self.options.choice.order
             price += self.options.choice.taken if self.sequence.is_taken(name) else 0.0
-            usual = self._places.usual(place, speed)
+            usual = self._places.usual(place, PlannerOptions.speed)
             options.append(Option(Step.REACH, name, self._places.above(place, q), place, usual, price))
         return tuple(options)
 
@@ -367,9 +366,11 @@ class Supervisor:
                 self._stand(self.step)
                 self._ask("path", now)
         answer = self.desk.answer(now)
-        if answer is None or (answer.choice is not None and answer.choice.option.step is not self.step):
-            pass  # or it comes too late: the step is another
-        elif answer.choice is not None:
+        if answer is None:
+            return
+        if answer.choice is not None:
+            if answer.choice.option.step is not self.step:
+                return  # it comes too late
             self._failures, self._trouble = 0, ""
             if answer.choice.plan is not None:
                 self._take_up(answer.choice, now)

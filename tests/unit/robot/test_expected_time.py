@@ -10,8 +10,8 @@ from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import ChoiceOptions, Chooser, Option, Request
 from kinecast.robot.errand import Places, Step
 from kinecast.robot.execution import Executor
-from kinecast.robot.expected_time import STEP, travel_time
-from kinecast.robot.motions import AHEAD, Motions, PoseHistory, likely, motions_of
+from kinecast.robot.expected_time import travel_time
+from kinecast.robot.motions import AHEAD, STEP, Motions, PoseHistory, likely, motions_of
 from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.planner import NoPlan, Planner
 from kinecast.robot.ur5 import UR5
