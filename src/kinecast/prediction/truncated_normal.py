@@ -25,6 +25,8 @@ LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
 SQRT_HALF = math.sqrt(0.5)
 SQRT_HALF_PI = math.sqrt(0.5 * math.pi)
 
+SMALLEST = 5e-324
+"""The smallest number above zero."""
 SERIES_START = 10.0
 """Distance [sd] from which 20 terms of the asymptotic series of M are exact to double precision."""
 SHORT_STEP = 1e-4
@@ -141,12 +143,13 @@ def _ratio(r: float, above: tuple, below: tuple) -> float:
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def _lower_quantile(p: float) -> float:
-    """The c ≥ 0 with Φ(−c) = p for p in [0, 0.5], to 1e-15: Wichura's AS 241, Applied Statistics 37 (1988)."""
+    """The c ≥ 0 with Φ(−c) = p for p in (0, 0.5], to 1e-15: Wichura's AS 241, Applied Statistics 37 (1988).
+
+    p = 0 is what has underflowed: the smallest number there is.
+    """
     if p >= 0.075:
         return (0.5 - p) * _ratio(0.180625 - (0.5 - p) * (0.5 - p), *CENTRE)
-    if p <= 0.0:
-        return math.inf
-    r = math.sqrt(-math.log(p))
+    r = math.sqrt(-math.log(max(p, SMALLEST)))
     return _ratio(r - 1.6, *SHOULDER) if r <= 5.0 else _ratio(r - 5.0, *TAIL)
 
 
