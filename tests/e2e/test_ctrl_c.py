@@ -123,6 +123,24 @@ main()
 """
 
 
+LATE = """
+class Bomb:
+    def __del__(self, kill=os.kill, process=os.getpid(), number=signal.SIGINT):
+        kill(process, number)
+def run(_):
+    sys.bomb = Bomb()
+import kinecast.cli.commands
+kinecast.cli.commands.run = run
+main()
+"""
+"""While the interpreter takes itself apart, when handlers are gone."""
+
+
+def test_ctrl_c_after_a_command_is_done_changes_nothing(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", START + LATE], cwd=tmp_path, capture_output=True, timeout=LONG)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+
+
 @pytest.mark.parametrize(
     "script", [EARLY, SWALLOWED, CHANGED, DEAF], ids=["import", "destructor", "other exception", "deaf"]
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -44,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         try:
             if ours:
                 signal.signal(signal.SIGINT, _leave)
+                if arguments is None:  # handlers go before the interpreter: what is done was not interrupted
+                    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
                 sys.unraisablehook = unraisable
                 reader, writer = os.pipe()
                 os.set_blocking(writer, False)
