@@ -15,11 +15,11 @@ from jaxtyping import Float
 
 from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
-from kinecast.robot.errand import Step, straight
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import STEP, Motions, likely
 from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.pick_place import Step, straight
 from kinecast.robot.planner import NoPlan, Plan, Planner
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5

@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 from kinecast.geometry.scene import Scene
 from kinecast.robot.attempt import Attempt, PlannerOptions
 from kinecast.robot.collision import CollisionChecker
-from kinecast.robot.errand import nearest, postures
 from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.seeding import Seeder
 from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import Trajectory

@@ -14,9 +14,9 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
 from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.episode import Episode, Pose, Scenery, Tick
-from kinecast.robot.errand import nearest, postures
 from kinecast.robot.execution import Executor
 from kinecast.robot.person import Person, ReactivePerson
+from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner, PlannerOptions
 from kinecast.robot.planning_desk import DeferredDesk, Solve
 from kinecast.robot.separation import SeparationOptions, separation
@@ -176,12 +176,12 @@ class Simulation:
     def _scenery(self, now: float, command: Command) -> Scenery:
         """What a picture of this moment needs."""
         poses = [(person.joints, person.at(now)) for person in self.people]
-        predictions = self.supervisor.outlook.predictions
+        predictions = self.supervisor.people.predictions
         region = np.empty((0, 0, 2, 3))
         if predictions:
             samples = predictions[0].samples
             region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
-        start, end, radius = self.supervisor.outlook.occupancy(now).at(now + 0.25)
+        start, end, radius = self.supervisor.people.occupancy(now).at(now + 0.25)
         ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
         way = np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead])
         return Scenery(

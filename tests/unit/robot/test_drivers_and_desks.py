@@ -12,7 +12,7 @@ from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Chooser, Option, Request
 from kinecast.robot.driver import Driver, MockDriver, SimulatedDriver
-from kinecast.robot.errand import Step, nearest, postures, straight
+from kinecast.robot.pick_place import Step, nearest, postures, straight
 from kinecast.robot.planner import NoPlan, Plan, Planner
 from kinecast.robot.planning_desk import DeferredDesk, Desk, ThreadDesk
 from kinecast.robot.ur5 import UR5

@@ -12,7 +12,7 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["Places", "Step", "nearest", "postures", "straight"]
+__all__ = ["GraspConfigurations", "Step", "nearest", "postures", "straight"]
 
 WAYPOINTS = 9
 CONTINUOUS = 0.8
@@ -137,7 +137,7 @@ def straight(
     return Trajectory(start_time + duration * tau, np.array(rows))
 
 
-class Places:
+class GraspConfigurations:
     """Where the arm stands above each cube, above its place, and at rest: found once, as it takes a while.
 
     Args:
