@@ -123,6 +123,18 @@ main()
 """
 
 
+COMPILED = """
+import jax
+def run(_):
+    def interrupt(x):
+        os.kill(os.getpid(), signal.SIGINT)
+        return x
+    jax.pure_callback(interrupt, jax.ShapeDtypeStruct((), "float32"), 1.0)
+    time.sleep(100)
+import kinecast.cli.commands
+kinecast.cli.commands.run = run
+main()
+"""
 LATE = """
 class Bomb:
     def __del__(self, kill=os.kill, process=os.getpid(), number=signal.SIGINT):
@@ -142,7 +154,9 @@ def test_ctrl_c_after_a_command_is_done_changes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "script", [EARLY, SWALLOWED, CHANGED, DEAF], ids=["import", "destructor", "other exception", "deaf"]
+    "script",
+    [EARLY, SWALLOWED, CHANGED, DEAF, COMPILED],
+    ids=["import", "destructor", "other exception", "deaf", "compiled"],
 )
 def test_ctrl_c_is_one_line_wherever_it_comes(script: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", START + script]
