@@ -14,17 +14,19 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
+from kinecast.robot.attempt import PlannerOptions
 from kinecast.robot.cell import Cell
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import STEP, Motions, likely
 from kinecast.robot.occupancy import Occupancy
-from kinecast.robot.pick_place import Step, straight
+from kinecast.robot.pick_place import GraspConfigurations, Step, straight
 from kinecast.robot.planner import NoPlan, Plan, Planner
+from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Choice", "ChoiceOptions", "Chooser", "Option", "Request", "grasp_rows"]
+__all__ = ["Choice", "ChoiceOptions", "Chooser", "Option", "Request", "grasp_rows", "options_for"]
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,40 @@ class Chooser:
             bent = self._timed(best.option, plan, request)
             if bent.time.priced(self.options.risk) < best.time.priced(self.options.risk) - self.options.worth:
                 yield bent
+
+
+def options_for(
+    step: Step,
+    target: str | None,
+    sequence: TaskSequence,
+    cell: Cell,
+    places: GraspConfigurations,
+    q: Float[np.ndarray, "6"],
+    options: ChoiceOptions,
+) -> tuple[Option, ...]:
+    """What may be done in a step, what the arm is at first: every cube left, the cube's place, or where it rests.
+
+    Args:
+        step: REACH, CARRY or REST; target: the cube of the arm.
+        sequence: cubes left, and who takes them.
+        cell: with the cubes; places: how the arm stands at them.
+        q: (6,) where it is [rad].
+        options: with the prices.
+    """
+    if step is Step.REST:
+        return (Option(step, target, places.rest(q), None),)
+    if step is Step.CARRY:
+        assert target is not None
+        place = cell.cube(target).place
+        return (Option(step, target, places.above(place, q), place),)
+    found = []
+    for name in sorted(sequence.remaining, key=lambda name: name != target):
+        place = cell.cube(name).position
+        price = 0.0 if name == sequence.remaining[0] else options.order
+        price += options.taken if sequence.is_taken(name) else 0.0
+        usual = places.usual(place, PlannerOptions.speed)
+        found.append(Option(Step.REACH, name, places.above(place, q), place, usual, price))
+    return tuple(found)
 
 
 def grasp_rows(

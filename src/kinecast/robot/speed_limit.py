@@ -9,16 +9,22 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
+from kinecast.robot.expected_time import RISE
 from kinecast.robot.people import PeopleModel
 from kinecast.robot.separation import Separation, SeparationOptions, separation
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Level", "LimitOptions", "LimitReason", "Path", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
+__all__ = ["Level", "LimitReason", "Path", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
 
 Path = Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N 6"]]
 """Configurations [rad] so many seconds from now."""
 
+SILENCE = 0.2
+"""Without a shot for this long, nobody knows who is there [s]."""
+DOUBT = 0.75
+"""Share of the planned speed beside somebody whose prediction is not OK, or too old."""
+SETTLE = 0.15
+"""Going faster, or another reason for going slowly, is new only after so long [s]."""
 STILL = 0.02
 """Share of the planned speed below which the arm stands."""
 FREE = 0.95
@@ -38,25 +44,6 @@ class LimitReason(Enum):
 
 
 AT_ONCE = {LimitReason.SILENCE, LimitReason.UNSEEN}
-
-
-@dataclass(frozen=True)
-class LimitOptions:
-    """When the arm is held back.
-
-    Attributes:
-        silence: without a shot for this long, nobody knows who is there [s].
-        doubt: share of the planned speed beside somebody whose prediction is not OK, or too old.
-    """
-
-    silence: float = 0.2
-    doubt: float = 0.75
-
-    def __post_init__(self) -> None:
-        if not self.silence > 0:
-            raise OptionError(f"silence {self.silence} s must be above 0")
-        if not 0 <= self.doubt <= 1:
-            raise OptionError(f"doubt {self.doubt} is outside 0..1")
 
 
 @dataclass(frozen=True)
@@ -83,7 +70,6 @@ def speed_limit(
     path: Path,
     speed: float,
     now: float,
-    options: LimitOptions,
 ) -> SpeedLimit:
     """The least of what measurement and camera allow, and less than full speed where predictions are in doubt.
 
@@ -95,7 +81,6 @@ def speed_limit(
         path: where it will be at full speed.
         speed: share of the planned speed it has now.
         now: [s].
-        options: see LimitOptions.
     """
     moment = 1e-3
     here, soon = path(np.array([0.0, moment]))
@@ -117,10 +102,10 @@ def speed_limit(
     measured = min(full.scale, present.scale * speed if present.scale < 1.0 else 1.0)
     limits = [(1.0, LimitReason.NOTHING)]
     if len(people.trusted(now)) < len(people.predictions):
-        limits.append((options.doubt, LimitReason.DOUBT))
+        limits.append((DOUBT, LimitReason.DOUBT))
     if measured < 1.0:
         limits.append((measured, LimitReason.SEPARATION))
-    if now - people.newest > options.silence:
+    if now - people.newest > SILENCE:
         limits.append((0.0, LimitReason.SILENCE))
     if people.unseen():
         limits.append((0.0, LimitReason.UNSEEN))
@@ -137,17 +122,11 @@ class Level(Enum):
 
 
 class SpeedHysteresis:
-    """Brakes at once and speeds up gently; says that it is slower at once, faster or for another reason after a while.
+    """Brakes at once and speeds up gently; says at once that it is slower, the rest after a while."""
 
-    Args:
-        rise: how fast the speed may rise again [1/s].
-        settle: a faster level or another reason is new only after so long [s].
-    """
-
-    def __init__(self, rise: float, settle: float) -> None:
+    def __init__(self) -> None:
         self.speed = 0.0
         self.level, self.reason = Level.FULL, LimitReason.NOTHING
-        self._rise, self._settle = rise, settle
         self._now = 0.0
         self._level_since = self._reason_since = -float("inf")
 
@@ -159,16 +138,16 @@ class SpeedHysteresis:
 
     def update(self, limit: SpeedLimit, most: float, now: float) -> None:
         """Takes in what holds the arm back, and the share that it may go at for other reasons too [0..1]."""
-        self.speed = min(most, self.speed + self._rise * (now - self._now))
+        self.speed = min(most, self.speed + RISE * (now - self._now))
         self._now = now
         level = Level.FULL if limit.speed > FREE else Level.SLOW if limit.speed > STILL else Level.HELD
         braked = level is Level.HELD or (level is Level.SLOW and self.level is Level.FULL and limit.speed < BRAKED)
         if level is self.level:
             self._level_since = now
-        elif braked or now - self._level_since >= self._settle:
+        elif braked or now - self._level_since >= SETTLE:
             self.level, self._level_since = level, now
         at_once = self.reason is LimitReason.NOTHING or {self.reason, limit.reason} & AT_ONCE
         if limit.reason is self.reason:
             self._reason_since = now
-        elif at_once or now - self._reason_since >= self._settle:
+        elif at_once or now - self._reason_since >= SETTLE:
             self.reason, self._reason_since = limit.reason, now

@@ -16,20 +16,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.attempt import PlannerOptions
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
-from kinecast.robot.choice import Choice, ChoiceOptions, Option, Request
+from kinecast.robot.choice import Choice, ChoiceOptions, Request, options_for
 from kinecast.robot.execution import Executor
-from kinecast.robot.expected_time import RISE, TravelTime
+from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.motions import STEP
 from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.people import PeopleModel
 from kinecast.robot.pick_place import GraspConfigurations, Step, straight
 from kinecast.robot.planning_desk import Desk
 from kinecast.robot.separation import Separation
-from kinecast.robot.speed_limit import LimitOptions, LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
-from kinecast.robot.task_sequence import SequenceOptions, TaskSequence
+from kinecast.robot.speed_limit import LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
+from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 from kinecast.robot.wording import reason_of, state_of
@@ -39,6 +38,12 @@ __all__ = ["Command", "Supervisor", "SupervisorOptions"]
 
 log = logging.getLogger(__name__)
 
+AGAIN = 0.3
+"""Between two looks for something better [s]."""
+RETRY, ATTEMPTS = 0.5, 3
+"""After a search that failed [s]; and so often a place is tried that cannot be reached."""
+EVADE = 2.0
+"""Held back for this long by somebody who comes to where it stands, the arm draws back [s] (docs/decisions/0028)."""
 HELD = 0.1
 """Share of the planned speed below which it does not get anywhere."""
 NEAR_ENOUGH = 0.05
@@ -57,29 +62,14 @@ AFTER_EVADING = {
 
 @dataclass(frozen=True)
 class SupervisorOptions:
-    """How it decides.
+    """What it decides by.
 
     Attributes:
-        again: between two looks for something better [s].
-        retry: after a search that failed [s].
-        attempts: so often a place is tried that cannot be reached.
-        touch: a limb that comes this near to a cube's middle may take it [m].
-        evade: held back for this long by somebody who comes to where it stands, the arm draws back [s].
-        settle: going faster, or another cause of going slowly, is a new state only after so long [s].
-        rise: how fast the speed may rise again [1/s].
-        limit, occupancy, sequence, choice: see there.
+        occupancy: radii of the people's limbs.
+        choice: how ways are compared.
     """
 
-    again: float = 0.3
-    retry: float = 0.5
-    attempts: int = 3
-    touch: float = 0.06
-    evade: float = 2.0
-    settle: float = 0.15
-    rise: float = RISE
-    limit: LimitOptions = field(default_factory=LimitOptions)
     occupancy: OccupancyOptions = field(default_factory=OccupancyOptions)
-    sequence: SequenceOptions = field(default_factory=SequenceOptions)
     choice: ChoiceOptions = field(default_factory=ChoiceOptions)
 
 
@@ -116,8 +106,8 @@ class Supervisor:
     ) -> None:
         self.arm, self.cell, self.executor, self.desk = arm, cell, executor, desk
         self.options = options or SupervisorOptions()
-        self.people = PeopleModel(self.options.occupancy, self.options.touch)
-        self.sequence = TaskSequence(cell.order, self.options.sequence)
+        self.people = PeopleModel(self.options.occupancy)
+        self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
         self.target: str | None = None
         self.replans = 0
@@ -137,7 +127,7 @@ class Supervisor:
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
         self._limit = SpeedLimit(0.0, LimitReason.SILENCE, Separation())
-        self._going = SpeedHysteresis(self.options.rise, self.options.settle)
+        self._going = SpeedHysteresis()
         self._decision = Decision(0.0, RobotState.WAITING, "It has not begun.", speed=0.0)
 
     @property
@@ -169,7 +159,7 @@ class Supervisor:
             self._advance(now)
             self._limit = speed_limit(
                 self.arm, self.people, self.cell.separation, self.executor.q, self.executor.qd, self.ahead,
-                self._decision.speed, now, self.options.limit,
+                self._decision.speed, now,
             )  # fmt: skip
             self._evade(now)
             decision = self._decide(now)
@@ -194,7 +184,7 @@ class Supervisor:
         taken = self.target is not None and self.sequence.is_taken(self.target)
         self._alarm = taken and (self._alarm or not self._taken)
         self._taken = taken
-        due = (self._alarm and self.step is Step.REACH) or now - self._asked >= self.options.again
+        due = (self._alarm and self.step is Step.REACH) or now - self._asked >= AGAIN
         under_way = self._trajectory is not None and self.step in (Step.REACH, Step.CARRY) and not self.busy
         if under_way and due and self.people.predictions:
             self._alarm = False
@@ -212,7 +202,7 @@ class Supervisor:
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now
-        elif now - self._held_since >= self.options.evade and self._trajectory is not None:
+        elif now - self._held_since >= EVADE and self._trajectory is not None:
             self._held_since, self._foretold = None, None
             self._then = AFTER_EVADING[self.step]
             self._travel(Step.REST, now)
@@ -317,34 +307,17 @@ class Supervisor:
             why: `better` than what it does, or a `path` for the step it is in.
             now: [s].
         """
-        options = self._options()
+        q = self.executor.q
+        options = options_for(self.step, self.target, self.sequence, self.cell, self._places, q, self.options.choice)
         if not any(len(option.goals) for option in options):
             self._no_way("out of reach", now)
             return
         self._asked = now
-        q, seconds = self.executor.stopping(self.desk.latency)
+        stop, seconds = self.executor.stopping(self.desk.latency)
         start_time = now + max(self.desk.latency, seconds)
         present = self._present() if why == "better" else None
         motions = None if self.step is Step.REST else self.people.motions(now)
-        self.desk.ask(Request(options, q, start_time, start_time - now, motions, present, why), now)
-
-    def _options(self) -> tuple[Option, ...]:
-        """What may be done in this step, what it does now first."""
-        q = self.executor.q
-        if self.step is Step.REST:
-            return (Option(Step.REST, self.target, self._places.rest(q), None),)
-        if self.step is Step.CARRY:
-            assert self.target is not None
-            place = self.cell.cube(self.target).place
-            return (Option(Step.CARRY, self.target, self._places.above(place, q), place),)
-        names, options = self.sequence.remaining, []
-        for name in sorted(names, key=lambda name: name != self.target):
-            place = self.cell.cube(name).position
-            price = 0.0 if name == names[0] else self.options.choice.order
-            price += self.options.choice.taken if self.sequence.is_taken(name) else 0.0
-            usual = self._places.usual(place, PlannerOptions.speed)
-            options.append(Option(Step.REACH, name, self._places.above(place, q), place, usual, price))
-        return tuple(options)
+        self.desk.ask(Request(options, stop, start_time, start_time - now, motions, present, why), now)
 
     def _present(self) -> Float[np.ndarray, "W 6"] | None:
         """Configurations `STEP` apart in which it goes on as it does, to the end of what it is about to do [rad]."""
@@ -374,9 +347,9 @@ class Supervisor:
             if answer.choice.plan is not None:
                 self._take_up(answer.choice, now)
         elif answer.request.why == "better":
-            self._asked = now + self.options.retry
+            self._asked = now + RETRY
         elif answer.crashed:
-            self._trouble, self._not_before = f"No path: {answer.reason}.", now + self.options.retry
+            self._trouble, self._not_before = f"No path: {answer.reason}.", now + RETRY
         else:
             self._no_way(answer.reason, now)
 
@@ -405,8 +378,8 @@ class Supervisor:
     def _no_way(self, reason: str, now: float) -> None:
         """Nobody is in the way, and still there is no path: tries again, then gives the cube up."""
         self._failures += 1
-        self._trouble, self._not_before = f"No path: {reason}.", now + self.options.retry
-        if self._failures >= self.options.attempts:
+        self._trouble, self._not_before = f"No path: {reason}.", now + RETRY
+        if self._failures >= ATTEMPTS:
             if self.step is Step.REACH:
                 for name in tuple(self.sequence.remaining):
                     self.sequence.give_up(name)

@@ -26,7 +26,7 @@ def through(
 
 
 def test_it_brakes_at_once_and_speeds_up_gently() -> None:
-    going = SpeedHysteresis(rise=3.0, settle=0.15)
+    going = SpeedHysteresis()
     going.begin(at_rest=True)
     braked, *rising = through(going, [limit(0.1, LimitReason.DOUBT)] + [limit(1.0, LimitReason.NOTHING)] * 40)
     assert braked == (0.1, Level.SLOW, LimitReason.DOUBT)
@@ -35,7 +35,7 @@ def test_it_brakes_at_once_and_speeds_up_gently() -> None:
 
 
 def test_what_flickers_is_said_once() -> None:
-    going = SpeedHysteresis(rise=3.0, settle=0.15)
+    going = SpeedHysteresis()
     flicker = [
         limit(0.0, LimitReason.SEPARATION), limit(0.03, LimitReason.DOUBT), limit(0.0, LimitReason.SEPARATION),
         limit(1.0, LimitReason.NOTHING),
@@ -44,7 +44,7 @@ def test_what_flickers_is_said_once() -> None:
 
 
 def test_what_lasts_is_said() -> None:
-    going = SpeedHysteresis(rise=3.0, settle=0.15)
+    going = SpeedHysteresis()
     states = through(going, [limit(0.0, LimitReason.SEPARATION)] * 5 + [limit(0.4, LimitReason.DOUBT)] * 30)
     changes = [k for k in range(1, len(states)) if states[k][1:] != states[k - 1][1:]]
     assert states[-1][1:] == (Level.SLOW, LimitReason.DOUBT)
@@ -53,6 +53,6 @@ def test_what_lasts_is_said() -> None:
 
 @pytest.mark.parametrize("cause", [LimitReason.SILENCE, LimitReason.UNSEEN])
 def test_that_nothing_is_known_is_said_at_once_and_so_is_that_something_is_again(cause: LimitReason) -> None:
-    going = SpeedHysteresis(rise=3.0, settle=0.15)
+    going = SpeedHysteresis()
     limits = [limit(0.3, LimitReason.DOUBT), limit(0.0, cause), limit(0.3, LimitReason.DOUBT)]
     assert [state[2] for state in through(going, limits)] == [LimitReason.DOUBT, cause, LimitReason.DOUBT]
