@@ -19,7 +19,6 @@ from kinecast.robot.errand import Step, straight
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import STEP, Motions, likely
-from kinecast.robot.occupancy import Occupancy
 from kinecast.robot.planner import NoPlan, Plan, Planner
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
@@ -148,9 +147,7 @@ class Chooser:
         reason = "out of reach"
         straight_ways = []
         for option in request.options:
-            plan = self.planner.plan(
-                request.q, option.goals, Occupancy.empty(request.start_time), request.start_time, budget=np.inf
-            )
+            plan = self.planner.plan(request.q, option.goals, request.start_time)
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:

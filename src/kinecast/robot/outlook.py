@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
 from kinecast.robot.motions import Motions, PoseHistory, motions_of
-from kinecast.robot.occupancy import Occupancy, OccupancyOptions, arms_of, is_trusted, occupied, standing
-from kinecast.robot.overlap import reach_probabilities
+from kinecast.robot.occupancy import arms_of, is_trusted, occupied, reach_probabilities, standing
 from kinecast.robot.ur5 import UR5
 from kinecast.robot.watch import Watch, WatchOptions
 from kinecast.types import Prediction
@@ -52,9 +52,9 @@ class Outlook:
         kept = {each.person: each for each in (*self.predictions, *predictions)}
         self.predictions = tuple(kept[name] for name in self.watch.persons if name in kept)
 
-    def occupancy(self, now: float) -> Occupancy:
-        """Space that may be filled, for pictures."""
-        return occupied(self.predictions, now, self.options)
+    def occupancy(self, now: float, at: float) -> Float[np.ndarray, "K 7"]:
+        """Space that may be filled at a moment ahead, for pictures: start, end and radius of capsules [m]."""
+        return occupied(self.predictions, now, at, self.options)
 
     def motions(self, now: float) -> Motions | None:
         """What everybody may do in the next seconds; None where nothing is predicted.
@@ -63,13 +63,13 @@ class Outlook:
         """
         if not self.predictions:
             return None
-        shown = [each if is_trusted(each, now, self.options) else standing(each) for each in self.predictions]
+        shown = [each if is_trusted(each, now) else standing(each) for each in self.predictions]
         histories = [self._histories.get(each.person, PoseHistory()) for each in shown]
         return motions_of(shown, histories, now, self.options, round(1e3 * now))
 
     def trusted(self, now: float) -> list[Prediction]:
         """Predictions that say more than what can be reached."""
-        return [each for each in self.predictions if is_trusted(each, now, self.options)]
+        return [each for each in self.predictions if is_trusted(each, now)]
 
     def taken(self, names: Sequence[str], now: float) -> dict[str, float]:
         """Per cube, the probability that somebody reaches for it; 1 where a hand is there already."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.attempt import PlannerOptions
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, ChoiceOptions, Option, Request
@@ -25,9 +25,9 @@ from kinecast.robot.errand import Places, Step, straight
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import RISE, TravelTime
 from kinecast.robot.motions import STEP
-from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.outlook import Outlook
 from kinecast.robot.pace import Pace, PaceOptions, Restraint, allowed_pace
+from kinecast.robot.planner import SPEED
 from kinecast.robot.planning_desk import Desk
 from kinecast.robot.separation import Separation
 from kinecast.robot.task_sequence import SequenceOptions, TaskSequence
@@ -343,7 +343,7 @@ class Supervisor:
             place = self.cell.cube(name).position
             price = 0.0 if name == names[0] else self.options.choice.order
             price += self.options.choice.taken if self.sequence.is_taken(name) else 0.0
-            usual = self._places.usual(place, PlannerOptions.speed)
+            usual = self._places.usual(place, SPEED)
             options.append(Option(Step.REACH, name, self._places.above(place, q), place, usual, price))
         return tuple(options)
 

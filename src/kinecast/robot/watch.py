@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.body import BodyCapsules, body_capsules
+from kinecast.robot.body import BodyCapsules, OccupancyOptions, body_capsules
 from kinecast.robot.camera import Shot
-from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.types import SkeletonFrame
 
 __all__ = ["Seen", "Watch", "WatchOptions"]
