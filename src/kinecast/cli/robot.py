@@ -166,7 +166,7 @@ def _limits(arm: UR5, reading: Reading) -> Check:
 
 def _tool(arm: UR5, reading: Reading) -> Check:
     """Whether the controller puts the tool where this model of the arm does: tells another arm, tool or base frame."""
-    T = inverse(arm.T_world_base) @ arm.forward_kinematics(reading.q)
+    T = arm.forward_kinematics(reading.q)
     R = from_rotation_vector(reading.tool[3:])
     apart = np.linalg.norm(reading.tool[:3] - T[:3, 3])
     turned = np.linalg.norm(rotation_vector(T[:3, :3].T @ R))
@@ -250,7 +250,6 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
     from kinecast.robot.execution import Executor
     from kinecast.robot.planner import Planner
     from kinecast.robot.planning_desk import ThreadDesk
-    from kinecast.robot.simulation import QUICK
     from kinecast.robot.supervisor import Supervisor
     from kinecast.robot.ur_driver import ArmStatus
 
@@ -264,7 +263,7 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
 
     per_step = max(round(STEP / driver.dt), 1)
     q = driver.state().q
-    with closing(ThreadDesk(Chooser(Planner(arm, cell.scene, QUICK), cell).choose)) as desk:
+    with closing(ThreadDesk(Chooser(Planner(arm, cell.scene), cell).choose)) as desk:
         supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), desk)
         closed, newest = driver.state().closed, 0.0
         driver.resume()

@@ -7,8 +7,8 @@ from pathlib import Path
 from kinecast.cli.progress import compiling
 from kinecast.cli.simulate import SimulationConfig, closing_table, sentence, write
 from kinecast.errors import OptionError
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.collaboration import PREDICTORS, SCENARIOS, Forecasters, simulate_scenario
-from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.outcome import outcome_of
 from kinecast.robot.simulation import Simulation
 from kinecast.robot.supervisor import SupervisorOptions

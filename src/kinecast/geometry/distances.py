@@ -144,6 +144,30 @@ def segment_distance(row: np.ndarray, start: Point, end: Point) -> float:
 
 @njit(cache=True)
 @no_type_check
+def point_distance(row: np.ndarray, p: Point) -> tuple[float, Point]:
+    """Signed distance [m] of a point to one obstacle, exact, and its gradient, of length 1."""
+    if row[0] == HALF_SPACE:
+        return _height(row, p), (row[4], row[5], row[6])
+    a = _local(row, p)
+    x, y, z = _excess(a[0], row[13]), _excess(a[1], row[14]), _excess(a[2], row[15])
+    distance = math.sqrt(x * x + y * y + z * z)
+    if distance * distance > TOUCHING:
+        x, y, z = x / distance, y / distance, z / distance
+    else:  # inside: out through the nearest face
+        u, v, w = abs(a[0]) - row[13], abs(a[1]) - row[14], abs(a[2]) - row[15]
+        distance = max(u, v, w)
+        x = math.copysign(1.0, a[0]) if u == distance else 0.0
+        y = math.copysign(1.0, a[1]) if x == 0.0 and v == distance else 0.0
+        z = math.copysign(1.0, a[2]) if x == 0.0 and y == 0.0 else 0.0
+    return distance - row[16], (
+        row[4] * x + row[5] * y + row[6] * z,
+        row[7] * x + row[8] * y + row[9] * z,
+        row[10] * x + row[11] * y + row[12] * z,
+    )
+
+
+@njit(cache=True)
+@no_type_check
 def _nearest(
     rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
 ) -> None:

@@ -14,14 +14,12 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
-from kinecast.robot.attempt import PlannerOptions
 from kinecast.robot.cell import Cell
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import STEP, Motions, likely
-from kinecast.robot.occupancy import Occupancy
 from kinecast.robot.pick_place import GraspConfigurations, Step, straight
-from kinecast.robot.planner import NoPlan, Plan, Planner
+from kinecast.robot.planner import SPEED, NoPlan, Plan, Planner
 from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
@@ -150,9 +148,7 @@ class Chooser:
         reason = "out of reach"
         straight_ways = []
         for option in request.options:
-            plan = self.planner.plan(
-                request.q, option.goals, Occupancy.empty(request.start_time), request.start_time, budget=np.inf
-            )
+            plan = self.planner.plan(request.q, option.goals, request.start_time)
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:
@@ -220,7 +216,7 @@ def options_for(
         place = cell.cube(name).position
         price = 0.0 if name == sequence.remaining[0] else options.order
         price += options.taken if sequence.is_taken(name) else 0.0
-        usual = places.usual(place, PlannerOptions.speed)
+        usual = places.usual(place, SPEED)
         found.append(Option(Step.REACH, name, places.above(place, q), place, usual, price))
     return tuple(found)
 

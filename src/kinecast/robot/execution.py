@@ -192,12 +192,10 @@ class Executor:
 
 
 def within_limits(trajectory: Trajectory, arm: UR5) -> Trajectory:
-    """The motion as it is followed: slowed down where the arm could not follow, unless it begins in motion."""
+    """The motion as it is followed: slowed down where the arm could not follow."""
     limits = np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
-    used = np.stack(trajectory.peaks()) / (SHARE[:, None] * limits)
-    slower = float((used.max(axis=1) ** (1.0 / np.array([1, 2, 3]))).max())
-    moving = np.any(trajectory.start_velocity) or np.any(trajectory.start_acceleration)
-    return trajectory if slower <= 1 or moving else trajectory.stretched(slower)
+    slower = trajectory.excess(SHARE[:, None] * limits)
+    return trajectory if slower <= 1 else trajectory.stretched(slower)
 
 
 class _Path:

@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.body import BodyCapsules, body_capsules
+from kinecast.robot.body import BodyCapsules, OccupancyOptions, body_capsules
 from kinecast.robot.camera import Shot
 from kinecast.robot.motions import Motions, PoseHistory, motions_of
-from kinecast.robot.occupancy import Occupancy, OccupancyOptions, arms_of, is_trusted, occupied, standing
-from kinecast.robot.overlap import reach_probabilities
+from kinecast.robot.occupancy import arms_of, is_trusted, occupied, reach_probabilities, standing
 from kinecast.types import Prediction, SkeletonFrame
 
 __all__ = ["PeopleModel", "Seen"]
@@ -101,7 +100,7 @@ class PeopleModel:
 
     def trusted(self, now: float) -> list[Prediction]:
         """Predictions that say more than what can be reached."""
-        return [each for each in self.predictions if is_trusted(each, now, self.body)]
+        return [each for each in self.predictions if is_trusted(each, now)]
 
     def motions(self, now: float) -> Motions | None:
         """What everybody may do in the next seconds; None where nothing is predicted.
@@ -110,7 +109,7 @@ class PeopleModel:
         """
         if not self.predictions:
             return None
-        shown = [each if is_trusted(each, now, self.body) else standing(each) for each in self.predictions]
+        shown = [each if is_trusted(each, now) else standing(each) for each in self.predictions]
         histories = [self._tracks[each.person].history for each in shown]
         return motions_of(shown, histories, now, self.body, round(1e3 * now))
 
@@ -128,9 +127,9 @@ class PeopleModel:
             chance = np.maximum(chance, reach_probabilities(prediction, places, self.touch, self.body))
         return dict(zip(cubes, chance.tolist(), strict=True))
 
-    def occupancy(self, now: float) -> Occupancy:
-        """Space that may be filled, for pictures."""
-        return occupied(self.predictions, now, self.body)
+    def occupancy(self, now: float, at: float) -> Float[np.ndarray, "K 7"]:
+        """Space that may be filled at a moment ahead, for pictures: start, end and radius of capsules [m]."""
+        return occupied(self.predictions, now, at, self.body)
 
 
 class _Track:

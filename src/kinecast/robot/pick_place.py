@@ -68,11 +68,13 @@ def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.
     for quarter in range(4):
         T = T_world_tool.copy()
         T[:3, :3] = rotation_z(quarter * np.pi / 2) @ T[:3, :3]
-        for q in _simple(arm, T):
+        for q in arm.inverse_kinematics(T):
             elbow = arm.capsules(q[None]).start[0, LINKS.index("elbow"), 2]
             lower = T.copy()
             lower[2, 3] -= below
-            if elbow > T[2, 3] + ELBOW_ABOVE and (not below or _change(_simple(arm, lower), q).min() < CONTINUOUS):
+            if elbow > T[2, 3] + ELBOW_ABOVE and (
+                not below or _change(arm.inverse_kinematics(lower), q).min() < CONTINUOUS
+            ):
                 kept.append(q)
     return np.array(kept).reshape(-1, 6)
 
@@ -87,12 +89,6 @@ def nearest(
     way = np.abs(turned - q).max(axis=1, initial=0.0)  # the joint with the longest way says how long it takes
     first: Float[np.ndarray, "G 6"] = turned[np.argsort(way, kind="stable")[:most]]
     return first
-
-
-def _simple(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
-    """Every branch, without full turns."""
-    every = arm.inverse_kinematics(T_world_tool)
-    return every[np.abs(every).max(axis=1, initial=0.0) <= np.pi + 1e-9]
 
 
 def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " C"]:
@@ -128,7 +124,7 @@ def straight(
     for s in share[1:]:
         place = T.copy()
         place[:3, 3] += s * way
-        choices = _simple(arm, place)
+        choices = arm.inverse_kinematics(place)
         change = _change(choices, rows[-1])
         if change.min() > CONTINUOUS:
             return None

@@ -17,7 +17,7 @@ from kinecast.robot.episode import Episode, Pose, Scenery, Tick
 from kinecast.robot.execution import Executor
 from kinecast.robot.person import Person, ReactivePerson
 from kinecast.robot.pick_place import nearest, postures
-from kinecast.robot.planner import Planner, PlannerOptions
+from kinecast.robot.planner import Planner
 from kinecast.robot.planning_desk import DeferredDesk, Solve
 from kinecast.robot.separation import SeparationOptions, separation
 from kinecast.robot.supervisor import Command, Supervisor, SupervisorOptions
@@ -31,8 +31,6 @@ Predict = Callable[[SkeletonFrame, float], Prediction | None]
 
 MOMENT = 0.01
 """A person's true speed is taken over this time [s]."""
-QUICK = PlannerOptions(straight_goals=2, seeded=1, search_iterations=150)
-"""As much as can be done in the latency of a plan."""
 SHOWN = 60
 """Samples kept for pictures."""
 
@@ -73,7 +71,7 @@ class Simulation:
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
         options = options or SupervisorOptions()
-        chooser = Chooser(Planner(self.arm, self.cell.scene, QUICK), self.cell, options.choice)
+        chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell, options.choice)
         self.desk = DeferredDesk(solve or chooser.choose, latency, clock)
         self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
         self.episode = Episode()
@@ -181,7 +179,6 @@ class Simulation:
         if predictions:
             samples = predictions[0].samples
             region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
-        start, end, radius = self.supervisor.people.occupancy(now).at(now + 0.25)
         ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
         way = np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead])
         return Scenery(
@@ -190,7 +187,7 @@ class Simulation:
             people=tuple(Pose(joints, positions) for joints, positions in poses if positions is not None),
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
-            tube=np.concatenate([start, end, radius[:, None]], axis=1),
+            tube=self.supervisor.people.occupancy(now, now + 0.25),
             way=way,
             decision=command.decision,
         )

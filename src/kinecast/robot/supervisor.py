@@ -16,13 +16,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, ChoiceOptions, Request, options_for
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.motions import STEP
-from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.people import PeopleModel
 from kinecast.robot.pick_place import GraspConfigurations, Step, straight
 from kinecast.robot.planning_desk import Desk

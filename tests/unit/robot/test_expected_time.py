@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
+from kinecast.geometry.shapes import Capsule
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import ChoiceOptions, Chooser, Option, Request
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import travel_time
 from kinecast.robot.motions import AHEAD, STEP, Motions, PoseHistory, likely, motions_of
-from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.pick_place import GraspConfigurations, Step
 from kinecast.robot.planner import NoPlan, Planner
 from kinecast.robot.ur5 import UR5
@@ -116,8 +117,8 @@ def test_likely_capsules_hold_the_people_and_end_with_the_stated_time() -> None:
     occupancy = likely(motions(1.0), 5.0)
     assert occupancy.times[0] == 5.0
     assert occupancy.times[-1] == pytest.approx(9.0)
-    distance, _ = occupancy.signed_distance((ARMS[2] + np.array([1.0, 0.0, 0.0]))[None, None], np.array([6.0]))
-    assert distance[0, 0] < 0
+    shapes = [Capsule(row[:3], row[3:6], float(row[6])) for row in occupancy.rows_at(np.array([6.0]))[0]]
+    assert min(float(shape.signed_distance(ARMS[2] + np.array([1.0, 0.0, 0.0]))) for shape in shapes) < 0
 
 
 def options(arm: UR5, q: np.ndarray) -> tuple[Option, ...]:
