@@ -13,7 +13,6 @@ from kinecast.robot.simulation import Simulation
 from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.types import Decision
 from kinecast.view.playback import Setting, Simulations
-from kinecast.view.server import check_address
 from kinecast.view.viewer import Viewer
 
 RECORDED = "recorded person"
@@ -32,7 +31,6 @@ def serve(host: str, port: int, scenario: str, predictor: str, config: Simulatio
     Raises:
         OptionError: nothing can listen there, or no such predictor.
     """
-    check_address(host, port, f"--host {host} --port {port}")
     if predictor not in PREDICTORS:
         raise OptionError(f"--predictor {predictor}: allowed are {', '.join(PREDICTORS)}")
     played = {RECORDED: scenario} if config.player is not None else {name: name for name in SCENARIOS}

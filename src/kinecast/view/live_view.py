@@ -10,19 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
 from kinecast.live.counters import SinkCounters
-from kinecast.live.publication import Publication
-from kinecast.robot.colours import hex_of
-from kinecast.types import LIMBS, Status
+from kinecast.live.publication import Publication, colour_of
+from kinecast.types import LIMBS
 from kinecast.view.nodes import People, ahead, draw_floor, draw_scene, tubes
 from kinecast.view.server import open_server, stop_server, url_of
-
-try:
-    from viser import ViserServer
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("the browser view", "view") from error
 
 if TYPE_CHECKING:
     from kinecast.cameras.overlay import Picture
@@ -39,7 +32,6 @@ MOST_SHOWN = 16
 """Persons; of more, those whose predictions are newest."""
 FROM = np.array([1.9, -1.4, 0.9])
 """Where the first person is looked at from [m]."""
-GOOD, UNSURE, LOST = (24, 128, 64), (178, 112, 0), (190, 38, 38)
 
 
 class LiveView:
@@ -58,7 +50,17 @@ class LiveView:
         self._server = open_server(host, port, name)
         self.address = url_of(self._server)
         self.counters = SinkCounters(self.address, "drawn")
-        self.stage = LiveStage(self._server, scene)
+        scene_api = self._server.scene
+        scene_api.set_up_direction("+z")
+        self._server.initial_camera.up = (0.0, 0.0, 1.0)
+        draw_floor(scene_api)
+        if scene is not None:
+            draw_scene(scene_api, scene)
+        self._people, self._tubes = People(scene_api), tubes(scene_api)
+        self._arms = scene_api.add_line_segments("/region/arms", np.zeros((0, 2, 3)), (0, 0, 0), thickness=0.008)
+        self._aimed = False
+        self.words = self._server.gui.add_html(_words([]))
+        self.images: dict[str, Any] = {}  # of each source, as shown
         self._waiting: dict[tuple[str, str], Publication] = {}
         self._shown: dict[tuple[str, str], tuple[Publication, float]] = {}
         self._pictures: dict[str, Picture] = {}  # of each source, until it is shown
@@ -111,7 +113,11 @@ class LiveView:
             shown = [publication for publication, _ in self._shown.values()]
             for source in list(self._pictures):
                 picture = self._pictures.pop(source)
-                self.stage.picture(source, drawn(picture, [each for each in shown if each.source == source]))
+                image = drawn(picture, [each for each in shown if each.source == source])
+                if source not in self.images:
+                    add = self._server.gui.add_image
+                    self.images[source] = add(image, label=source, format="jpeg", jpeg_quality=80)
+                self.images[source].image = image
 
     def _refresh(self, newest: Mapping[tuple[str, str], Publication], now: float) -> None:
         there = {key: each for key, each in self._shown.items() if now - each[1] <= GONE}
@@ -120,35 +126,10 @@ class LiveView:
         there |= {key: (publication, now) for key, publication in newest.items()}
         self._shown = dict(sorted(there.items(), key=lambda each: each[1][1])[-MOST_SHOWN:])
         with self._server.atomic():
-            self.stage.show([publication for publication, _ in self._shown.values()])
+            self._draw([publication for publication, _ in self._shown.values()])
         self._server.flush()
 
-
-class LiveStage:
-    """Everything that is seen.
-
-    Args:
-        server: that shows it.
-        scene: obstacles and goals.
-    """
-
-    def __init__(self, server: ViserServer, scene: Scene | None) -> None:
-        self._server = server
-        server.scene.set_up_direction("+z")
-        server.initial_camera.up = (0.0, 0.0, 1.0)
-        draw_floor(server.scene)
-        if scene is not None:
-            draw_scene(server.scene, scene)
-        self._people = People(server.scene)
-        self._tubes = tubes(server.scene)
-        self._arms: Any = server.scene.add_line_segments(
-            "/region/arms", np.zeros((0, 2, 3), dtype=np.float32), np.zeros((0, 2, 3), dtype=np.uint8), thickness=0.008
-        )
-        self._aimed = False
-        self.pictures: dict[str, Any] = {}
-        self.words = server.gui.add_html(_words([]))
-
-    def show(self, publications: Sequence[Publication]) -> None:
+    def _draw(self, publications: Sequence[Publication]) -> None:
         """These persons and no others."""
         bodies = [_body(each) for each in publications]
         self._people.show(bodies)
@@ -166,13 +147,6 @@ class LiveStage:
             seen = np.isfinite(points).all(axis=(1, 2))
             self._arms.points, self._arms.colors = points[seen].astype(np.float32), colours[seen]
         self.words.content = _words(publications)
-
-    def picture(self, source: str, image: np.ndarray) -> None:
-        """A camera's picture, beside."""
-        if source in self.pictures:
-            self.pictures[source].image = image
-        else:
-            self.pictures[source] = self._server.gui.add_image(image, label=source, format="jpeg", jpeg_quality=80)
 
     def _aim(self, body: np.ndarray) -> None:
         """Looks at the first person, once."""
@@ -198,10 +172,10 @@ def _words(publications: Sequence[Publication]) -> str:
         return '<div id="live">Nobody is seen.</div>'
     rows = []
     for each in publications:
-        status = each.prediction.status
-        colour = GOOD if status is Status.OK else LOST if status in (Status.FAULT, Status.BLOCKED) else UNSURE
+        status, (red, green, blue) = each.prediction.status, colour_of(each.prediction.status)
         rows.append(
             f"<p><b>{html.escape(each.prediction.person)}</b> · {html.escape(each.source)}<br>"
-            f'<span style="color:{hex_of(colour)}">{status.name}</span>: {html.escape(status.advice)}</p>'
+            f'<span style="color:rgb({red:.0%} {green:.0%} {blue:.0%})">{status.name}</span>: '
+            f"{html.escape(status.advice)}</p>"
         )
     return f'<div id="live" style="overflow-wrap:anywhere;padding:0 1em">{"".join(rows)}</div>'

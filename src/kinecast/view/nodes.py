@@ -7,18 +7,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from viser import SceneApi
 
-from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, Sphere
 from kinecast.geometry.transforms import to_quaternion
 from kinecast.robot.body import TRUE_BODY, body_capsules
 from kinecast.robot.colours import SHIRT, SKIN, SKIN_PARTS, Colour
-
-try:
-    from viser import SceneApi
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("the browser view", "view") from error
 
 __all__ = ["CapsulesNode", "People", "ahead", "capsule_faces", "capsule_vertices", "draw_floor", "draw_scene", "tubes"]
 
@@ -83,7 +78,7 @@ class CapsulesNode:
 
     def show(self, rows: Float[np.ndarray, "K 7"]) -> None:
         """These and no others: start, end and radius [m]; one that is not finite is left out."""
-        corners = capsule_vertices(rows).astype(np.float32)
+        corners = capsule_vertices(rows)
         if len(rows) not in (0, self._count):
             solid, self._count = self._opacity is None, len(rows)
             self._node = self._scene.add_mesh_simple(

@@ -5,26 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from html import escape
+from typing import Any
 
 import numpy as np
+from viser import GuiApi, GuiEvent, Icon
 
-from kinecast.errors import MissingExtraError
 from kinecast.robot.cell import Cell
 from kinecast.robot.colours import INK, MUTED, STATES, cube_colour, hex_of
 from kinecast.robot.episode import SceneSnapshot
 from kinecast.types import Decision
 from kinecast.view.playback import Playback, Run, Setting, Simulations
 
-try:
-    from viser import GuiApi, GuiHtmlHandle, Icon
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("the browser view", "view") from error
-
 __all__ = ["Panel", "decisions_html", "figures_html", "state_html"]
 
-LAYERS = {"samples": "samples", "region": "region", "plan": "path"}
-"""What can be hidden: predicted wrists, occupied space, planned path."""
-LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
+LEVELS = {f"{100 * level:g} %": level for level in (0.5, 0.8, 0.9, 0.95, 0.99)}
 RATES = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0}
 STEP = 0.05
 """Of the slider [s]."""
@@ -43,16 +37,11 @@ class Panel:
         setting: what is simulated first.
         simulations: to choose from.
         playback: what play, pause and slider act on.
-        layers: which of LAYERS are shown; changed by the checkboxes.
+        layers: of the stage, and which are shown; changed by the checkboxes.
     """
 
     def __init__(
-        self,
-        gui: GuiApi,
-        setting: Setting,
-        simulations: Simulations,
-        playback: Playback,
-        layers: dict[str, bool],
+        self, gui: GuiApi, setting: Setting, simulations: Simulations, playback: Playback, layers: dict[str, bool]
     ) -> None:
         self._setting, self._simulations, self._playback = setting, simulations, playback
         self.state = gui.add_html("")
@@ -64,24 +53,27 @@ class Panel:
         with gui.add_folder("Simulation"):
             scenario = gui.add_dropdown("scenario", simulations.scenarios, initial_value=setting.scenario)
             predictor = gui.add_dropdown("predictor", simulations.predictors, initial_value=setting.predictor)
-            levels = tuple(f"{100 * level:g} %" for level in sorted({*LEVELS, setting.level}))
             level = gui.add_dropdown(
-                "region holds", levels, initial_value=f"{100 * setting.level:g} %",
+                "region holds", tuple(LEVELS), initial_value=f"{100 * setting.level:g} %",
                 hint="Probability that each occupied capsule holds its limb; the arm is fast or slow by it.",
             )  # fmt: skip
             rate = gui.add_dropdown("speed of play", tuple(RATES), initial_value="1")
         with gui.add_folder("Show"):
-            for name, label in LAYERS.items():
-                box = gui.add_checkbox(label, layers[name])
+            for name, shown in layers.items():
+                box = gui.add_checkbox(name, shown)
                 box.on_update(lambda event, name=name: layers.update({name: event.target.value}))  # type: ignore[misc]
 
         self.play.on_click(lambda _: playback.toggle())
-        # Values set from here call back too, without a client.
-        self.slider.on_update(lambda event: playback.seek(event.target.value) if event.client else None)
+        self.slider.on_update(self._seek)
         rate.on_update(lambda event: setattr(playback, "rate", RATES[event.target.value]))
         scenario.on_update(lambda event: self.change(scenario=event.target.value))
         predictor.on_update(lambda event: self.change(predictor=event.target.value))
-        level.on_update(lambda event: self.change(level=float(event.target.value.rstrip(" %")) / 100))
+        level.on_update(lambda event: self.change(level=LEVELS[event.target.value]))
+
+    async def _seek(self, event: GuiEvent[Any]) -> None:
+        """Not in another thread, or a picture that is just drawn may set the slider back before it is read."""
+        if event.client is not None:  # values set from here call back too
+            self._playback.seek(event.target.value)
 
     def show(self, moment: SceneSnapshot | None) -> None:
         """Says what is seen at a moment; that it is being prepared where there is none yet."""
@@ -94,11 +86,9 @@ class Panel:
             told = [each for each in run.episode.decisions if each.stamp <= moment.stamp]
             ended = note_html(run.ending) if run.ending and moment.stamp >= run.last else ""
             decisions = ended + decisions_html(told[: -LAST - 1 : -1])
-        for handle, text in ((self.state, state), (self.figures, figures), (self.decisions, decisions)):
-            _say(handle, text)
-        end = max(STEP * round(run.last / STEP), STEP)
-        if self.slider.max != end:
-            self.slider.max = end
+        # Nothing is sent that is as before.
+        self.state.content, self.figures.content, self.decisions.content = state, figures, decisions
+        self.slider.max = end = max(STEP * round(run.last / STEP), STEP)
         self.slider.value = min(STEP * round(playback.position / STEP), end)  # type: ignore[misc]
         label = "Pause" if playback.playing else "Play"
         if self.play.label != label:
@@ -111,12 +101,6 @@ class Panel:
         if setting != self._setting:
             self._setting = setting
             self._playback.load(Run(setting, self._simulations, self._playback.run))
-
-
-def _say(handle: GuiHtmlHandle, text: str) -> None:
-    """Sends a text that is new."""
-    if handle.content != text:
-        handle.content = text
 
 
 def state_html(decision: Decision, stamp: float) -> str:
@@ -135,13 +119,12 @@ def figures_html(decision: Decision, cell: Cell) -> str:
     rows = [_bar(_chip(name), decision.taken.get(name, 0.0), hex_of(cube_colour(name))) for name in cell.order]
     near = "nobody near" if not np.isfinite(decision.distance) else f"{decision.distance:.2f} m"
     asked = f"stops below {decision.separation:.2f} m" if np.isfinite(decision.separation) else ""
-    distance = (
+    return (
+        f'<div id="figures" style="{FRAME}"><b>The person takes, with probability</b>{"".join(rows)}'
+        f"<b>The arm</b>{_bar('speed', decision.speed, '#6b7784')}"
         f'<div style="display:flex;justify-content:space-between"><span>distance</span>'
-        f'<span>{near} <span style="{GREY}">{asked}</span></span></div>'
+        f'<span>{near} <span style="{GREY}">{asked}</span></span></div></div>'
     )
-    person = _head("The person takes, with probability") + "".join(rows)
-    arm = _head("The arm") + _bar("speed", decision.speed, "#6b7784") + distance
-    return f'<div id="figures" style="{FRAME}">{person}{arm}</div>'
 
 
 def decisions_html(decisions: Sequence[Decision]) -> str:
@@ -158,10 +141,6 @@ def decisions_html(decisions: Sequence[Decision]) -> str:
 def note_html(text: str) -> str:
     """A remark."""
     return f'<div id="note" style="{FRAME};{GREY}">{escape(text)}</div>'
-
-
-def _head(text: str) -> str:
-    return f'<div style="font-weight:600;margin:6px 0 2px 0">{escape(text)}</div>'
 
 
 def _chip(name: str) -> str:

@@ -8,7 +8,6 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
 from kinecast.robot.episode import Episode, SceneSnapshot
 from kinecast.robot.simulation import Simulation
@@ -26,16 +25,12 @@ class Setting:
     Attributes:
         scenario: what the person does.
         predictor: what predicts them.
-        level: probability that an occupied capsule holds its limb, in (0, 1].
+        level: probability that an occupied capsule holds its limb.
     """
 
     scenario: str
     predictor: str
     level: float = 0.95
-
-    def __post_init__(self) -> None:
-        if not 0 < self.level <= 1:
-            raise OptionError(f"level {self.level} is outside (0, 1]")
 
 
 @dataclass(frozen=True)

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from viser import InitialCameraConfig, SceneApi
 
-from kinecast.errors import MissingExtraError
 from kinecast.robot.cell import TABLE_HEIGHT, TABLE_TOP, Cell
 from kinecast.robot.colours import INK, MUTED, cube_colour
 from kinecast.robot.episode import SceneSnapshot
 from kinecast.robot.ur5 import LINKS, UR5
 from kinecast.types import RobotState
 from kinecast.view.nodes import CapsulesNode, People, ahead, draw_floor, tubes
-
-try:
-    from viser import InitialCameraConfig, SceneApi
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("the browser view", "view") from error
 
 __all__ = ["Stage", "look"]
 
@@ -46,8 +41,8 @@ class Stage:
 
     def __init__(self, scene: SceneApi, cell: Cell) -> None:
         self.arm = UR5()
-        self.layers = {"samples": True, "region": True, "plan": True}
-        """What is shown besides arm, cubes and people."""
+        self.layers = {"samples": True, "region": True, "path": True}
+        """What can be hidden: predicted wrists, occupied space, planned path."""
         _draw_furniture(scene, cell)
         start, end, radius = self.arm.pedestal
         CapsulesNode(scene, "/robot/base", PARTS["gripper"][0]).show(np.array([[*start, *end, radius]]))
@@ -86,7 +81,7 @@ class Stage:
     def _show_plan(self, moment: SceneSnapshot) -> None:
         way = moment.way
         moved = len(way) > 1 and bool(np.linalg.norm(way[-1] - way[0]) > 0.03)
-        self.way.visible = self.tip.visible = self.layers["plan"] and moved
+        self.way.visible = self.tip.visible = self.layers["path"] and moved
         if not self.way.visible:
             return
         leaves = moment.decision.state is RobotState.REPLANNING  # what is shown is still the path before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import threading
 import time
 
 from kinecast.robot.episode import SceneSnapshot
@@ -38,7 +37,6 @@ class Viewer:
         look(self.server.initial_camera)
         self.playback = Playback(Run(setting, simulations))
         self.panel = Panel(self.server.gui, setting, simulations, self.playback, self.stage.layers)
-        self._closing = threading.Event()
         self._shown: tuple[SceneSnapshot, dict[str, bool]] | None = None
 
     @property
@@ -47,7 +45,7 @@ class Viewer:
         return url_of(self.server)
 
     def serve(self) -> None:
-        """Sends what is to be seen, in the main thread, until it is closed or Ctrl-C ends it.
+        """Sends what is to be seen, in the main thread, until Ctrl-C ends it.
 
         Ctrl-C is looked for between two pictures: an exception in the middle of one may be raised while the server
         holds a lock, or where Python can only print it.
@@ -56,7 +54,8 @@ class Viewer:
         before = signal.signal(signal.SIGINT, lambda number, _: signals.append(number))
         last = time.monotonic()
         try:
-            while not self._closing.wait(PERIOD) and not signals:
+            while not signals:
+                time.sleep(PERIOD)
                 now = time.monotonic()
                 self.playback.advance(min(now - last, LEAP))
                 last = now
@@ -75,6 +74,5 @@ class Viewer:
 
     def close(self) -> None:
         """Ends simulation and server."""
-        self._closing.set()
         self.playback.run.give_up()
         stop_server(self.server)

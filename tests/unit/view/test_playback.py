@@ -6,7 +6,6 @@ import threading
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
@@ -113,8 +112,3 @@ def test_a_run_is_given_up_for_the_next() -> None:
     assert first.ending == ""
     assert not first._thread.is_alive()
     assert told == second.episode.decisions
-
-
-def test_a_level_outside_its_range_is_named() -> None:
-    with pytest.raises(OptionError, match="level 0"):
-        Setting("avoid", "none", 0.0)

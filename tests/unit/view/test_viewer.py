@@ -15,7 +15,7 @@ from kinecast.robot.cell import Cell
 from kinecast.types import Decision, Reaction, RobotState
 from kinecast.view.panel import decisions_html, figures_html, state_html
 from kinecast.view.playback import Setting, Simulations
-from kinecast.view.server import check_address, open_server, stop_server
+from kinecast.view.server import open_server, stop_server
 from kinecast.view.viewer import Viewer
 
 from .simulated import LONG, simulation
@@ -68,7 +68,7 @@ def test_controls_ask_for_another_run(viewer: Viewer) -> None:
 def test_what_is_hidden_is_not_shown(viewer: Viewer) -> None:
     stage = viewer.stage
     viewer.playback.seek(0.3)
-    stage.layers.update(plan=False, samples=False, region=False)
+    stage.layers.update(path=False, samples=False, region=False)
     viewer.refresh()
     assert not any(node.visible for node in (stage.way, stage.tip, stage.cloud, stage.tubes))
 
@@ -94,11 +94,11 @@ def test_an_address_where_nothing_can_listen_is_named() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         with pytest.raises(OptionError, match=r"the view: nothing can listen there \(Address already in use"):
-            check_address("127.0.0.1", port, "the view")
+            open_server("127.0.0.1", port, "the view")
     with pytest.raises(OptionError, match="allowed is 0"):
-        check_address("127.0.0.1", 70000, "the view")
+        open_server("127.0.0.1", 70000, "the view")
     with pytest.raises(OptionError, match="nothing can listen"):  # reserved for documentation: nobody's
-        check_address("192.0.2.1", 0, "the view")
+        open_server("192.0.2.1", 0, "the view")
 
 
 def test_the_server_listens_where_it_was_told_and_opens_no_tunnel(viewer: Viewer) -> None:
