@@ -34,6 +34,8 @@ HELD = 0.9
 """Share of the predicted wrists that the region holds."""
 WIDE, HIGH = (-0.92, 1.12), (-0.60, 0.98)
 """What the picture shows [m on the page]."""
+SQUARE = (0.6, 0.6, -0.6, -0.6), (0.6, -0.6, -0.6, 0.6)
+"""Corners of a cube's place, x and y, of its edges."""
 
 
 def _view() -> Camera:
@@ -64,8 +66,7 @@ def draw_cell(axes: Axes, arm: UR5, cell: Cell, scene: SceneSnapshot) -> None:
     draw_obstacles(axes, VIEW, Scene((cell.table,)), 0.0, 0.0, corners)
     for cube in cell.cubes:
         colour = hex_of(cube_colour(cube.name))
-        square = cube.place + cube.size * np.array([[0.6, 0.6, -0.5], [0.6, -0.6, -0.5], [-0.6, -0.6, -0.5],
-                                                    [-0.6, 0.6, -0.5]])  # fmt: skip
+        square = cube.place + cube.size * np.array([(x, y, -0.5) for x, y in zip(*SQUARE, strict=True)])
         axes.add_patch(Polygon(VIEW.page(square), fc="white", ec=colour, lw=1.4, alpha=0.8, zorder=1.5))
         _cube(axes, scene.cubes[cube.name], cube.size, colour)
     links, skin, shirt = arm.capsules(scene.q[None]), hex_of(SKIN), hex_of(SHIRT)

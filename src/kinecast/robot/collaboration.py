@@ -17,7 +17,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import repair
 from kinecast.datasets.synthetic import Fetch, fetching
 from kinecast.errors import OptionError
-from kinecast.geometry.transforms import apply, inverse
+from kinecast.geometry.transforms import apply, inverse, rotation_z, transform
 from kinecast.prediction.method import Method
 from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
 from kinecast.prediction.model_file import ModelCard
@@ -30,16 +30,7 @@ from kinecast.robot.simulation import Predict, Simulation
 from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
 
-__all__ = [
-    "PREDICTORS",
-    "SCENARIOS",
-    "Scenario",
-    "generated_person",
-    "predictor_named",
-    "replayed_person",
-    "scripted_person",
-    "simulate_scenario",
-]
+__all__ = ["PREDICTORS", "SCENARIOS", "generated_person", "predictor_named", "replayed_person", "simulate_scenario"]
 
 PREDICTORS = ("kinecast", "gp_constrained", "damped_velocity", "zero_velocity", "reachable", "oracle", "none")
 """What can predict the person: shipped methods; all they can reach; the truth; nothing."""
@@ -132,12 +123,10 @@ def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
         raise OptionError(f"{recording.name}: no frame shows both shoulders")
     left, right = left[seen], right[seen]
     across, middle = np.median(left - right, axis=0), np.median((left + right) / 2, axis=0)
-    yaw = math.atan2(-across[0], across[1])  # left of the person is +y
-    stand = np.eye(4)
-    stand[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+    turn = rotation_z(math.atan2(-across[0], across[1]))  # left of the person is +y
+    ahead = np.quantile(((left + right) / 2 - middle) @ turn[:, 0], 0.9)
     # Shoulders of a standing adult are 1.4 m above the floor; recordings do not say where theirs is.
-    ahead = ((left + right) / 2 - middle) @ stand[:3, 0]
-    stand[:3, 3] = middle + np.quantile(ahead, 0.9) * stand[:3, 0] - [0.0, 0.0, 1.4]
+    stand = transform(turn, middle + ahead * turn[:, 0] - [0.0, 0.0, 1.4])
     return _placed(recording, cell.person @ inverse(stand), recording.person)
 
 
@@ -197,11 +186,11 @@ def simulate_scenario(
     predictor: str,
     seed: int,
     samples: int = SAMPLES,
-    person: Person | None = None,
+    person: PlayedPerson | None = None,
     options: SupervisorOptions | None = None,
     cell: Cell | None = None,
 ) -> Simulation:
-    """One of SCENARIOS, or `none`, ready to run.
+    """One of SCENARIOS, ready to run.
 
     Args:
         name: of the scenario.
@@ -220,8 +209,6 @@ def simulate_scenario(
     scenario, cell = SCENARIOS[name], cell or Cell()
     if person is None:
         person = scripted_person(scenario, seed, cell) if scenario.fetches else generated_person(seed, cell)
-    if not scenario.fetches and isinstance(person, PlayedPerson):
-        person = ReactivePerson(person)
-    people = [person]
+    people: list[Person] = [person if scenario.fetches else ReactivePerson(person)]
     predict = predictor_named(predictor, people, samples)
     return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, options)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from kinecast.errors import MissingExtraError, OptionError
+from kinecast.errors import MissingExtraError
 from kinecast.evaluation.pictures import write_gif
 from kinecast.evaluation.plots import INK, MUTED, RED, STYLE, save_figure
 from kinecast.robot.cell import Cell
@@ -21,7 +20,7 @@ from kinecast.types import Decision, RobotState
 
 try:
     import matplotlib as mpl
-    from matplotlib.axes import Axes
+    from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 except ImportError as error:
@@ -40,12 +39,7 @@ def key_moments(episode: Episode) -> list[SceneSnapshot]:
     """Five scenes: before the first reaction, at it, on the way, and when the next cube is grasped.
 
     Without a reaction they are evenly apart.
-
-    Raises:
-        OptionError: an episode without a scene.
     """
-    if not episode.scenes:
-        raise OptionError("an episode without a shot has no moments to show")
     stamps = np.array([scene.stamp for scene in episode.scenes])
     reacted = _reaction(episode)
     if reacted is None:
@@ -64,11 +58,7 @@ def _reaction(episode: Episode) -> Decision | None:
 
 
 def draw_storyboard(path: Path, episodes: Mapping[str, Episode], cell: Cell) -> None:
-    """Draw episodes by their titles below one another, five moments each, as PNG.
-
-    Raises:
-        OptionError: an episode without a scene.
-    """
+    """Draw episodes by their titles below one another, five moments each, as PNG."""
     arm, high, foot = UR5(), 3.05, 0.45  # heights of a row and the legend [inches]
     total = len(episodes) * high + foot
     with mpl.rc_context(STYLE):
@@ -107,9 +97,8 @@ def animate_episode(path: Path, episode: Episode, cell: Cell, title: str) -> Non
             chance = "   ".join(f"{name} {100 * p:.0f} %" for name, p in decision.taken.items())
             reason = textwrap.shorten(decision.reason, 92, placeholder=" …")
             figure.text(0.02, 0.955, title, fontsize=11, weight="bold", va="center")
-            figure.text(
-                0.02, 0.115, f"{scene.stamp:5.1f} s   {decision.state.name.lower()}", fontsize=10, weight="bold"
-            )
+            state = f"{scene.stamp:5.1f} s   {decision.state.name.lower()}"
+            figure.text(0.02, 0.115, state, fontsize=10, weight="bold")
             figure.text(0.02, 0.062, reason, fontsize=9)
             figure.text(0.02, 0.018, f"the person takes: {chance}", fontsize=8.5, color=MUTED)
             yield figure
@@ -118,21 +107,17 @@ def animate_episode(path: Path, episode: Episode, cell: Cell, title: str) -> Non
 
 
 def draw_timeline(path: Path, episode: Episode, title: str) -> None:
-    """Draw an episode over time as PNG: state, distance and what is asked of it, speed, what the person is after.
-
-    Raises:
-        OptionError: an episode without a step.
-    """
-    ticks, scenes = episode.ticks, episode.scenes
-    if not ticks:
-        raise OptionError("an episode without a step has no timeline")
+    """Draw an episode over time as PNG: state, distance and what is asked of it, speed, what the person is after."""
+    ticks, scenes, states = episode.ticks, episode.scenes, list(STATES)
     stamps = np.array([tick.stamp for tick in ticks])
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.5, 6.4))
         shape = {"height_ratios": (0.35, 3, 1.4, 1.6), "hspace": 0.22, "left": 0.075, "right": 0.985, "top": 0.86,
                  "bottom": 0.085}  # fmt: skip
         band, near, pace, chance = rows = figure.subplots(4, sharex=True, gridspec_kw=shape)
-        _band(band, stamps, [tick.state for tick in ticks])
+        band.imshow([[states.index(tick.state) for tick in ticks]], ListedColormap([hex_of(STATES[k]) for k in states]),
+                    aspect="auto", extent=(stamps[0], stamps[-1], 0, 1), vmin=0, vmax=len(states) - 1)  # fmt: skip
+        band.set_yticks([])
         for name, colour, label in (
             ("distance", INK, "distance arm to person"),
             ("limit", RED, "S_p that monitoring asks for"),
@@ -166,11 +151,3 @@ def draw_timeline(path: Path, episode: Episode, title: str) -> None:
         )  # fmt: skip
         figure.text(0.02, 0.965, title, fontsize=12, weight="bold", va="center")
     save_figure(figure, path)
-
-
-def _band(axes: Axes, stamps: np.ndarray, states: list[RobotState]) -> None:
-    """A stripe in the colour of each state for as long as it lasts."""
-    changes = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(states)) if a is not b), len(states) - 1]
-    for first, last in pairwise(changes):
-        axes.axvspan(stamps[first], stamps[last], color=hex_of(STATES[states[first]]), lw=0)
-    axes.set_yticks([])
