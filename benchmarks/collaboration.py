@@ -17,6 +17,7 @@ import argparse
 import dataclasses
 import hashlib
 import json
+import math
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,11 +35,11 @@ from benchmarks.collaboration_report import report, save_plot, summarise
 from benchmarks.machine import RESULTS, facts, save
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
-from kinecast.robot.camera import Camera, CameraOptions
+from kinecast.robot.camera import Camera
 from kinecast.robot.cell import CELLS, Cell, cell_named
-from kinecast.robot.collaboration import Forecasters, forth_and_back, generated_person, replayed_person
+from kinecast.robot.collaboration import generated_person, predictor_named, replayed_person
 from kinecast.robot.outcome import Outcome, outcome_of
-from kinecast.robot.person import ReactivePerson
+from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 
 PREDICTORS = ("kinecast", "none", "zero_velocity", "damped_velocity", "oracle", "reachable")
@@ -133,16 +134,10 @@ def episode(seed: int, name: str, settings: Settings) -> tuple[Outcome, float]:
     numba.set_num_threads(1)
     cell = cell_named(settings.cell)
     people = [person(seed, recordings(settings.data), cell)]
-    camera = Camera(CameraOptions(delay=cell.delay, seed=seed))
-    predict = forecasters(settings.samples).make(name, people)
+    camera = Camera(delay=cell.delay, seed=seed)
+    predict = predictor_named(name, people, settings.samples)
     simulation = Simulation(people, predict, camera, cell, limit=settings.limit)
     return outcome_of(simulation.run(), people, cell), time.process_time() - began
-
-
-@cache
-def forecasters(samples: int) -> Forecasters:
-    """The shipped models, read once a process."""
-    return Forecasters(samples)
 
 
 @cache
@@ -166,7 +161,19 @@ def person(seed: int, sets: Sequence[Sequence[Recording]], cell: Cell) -> Reacti
     takes = sets[kind - 1]
     take = takes[(seed // 4) % len(takes)]
     start = float(np.random.default_rng(seed).uniform(0.0, 0.3 * take.duration))
-    return ReactivePerson(forth_and_back(replayed_person(take, cell, start), 125.0))
+    return ReactivePerson(forth_and_back(replayed_person(take, cell), start, 125.0))
+
+
+def forth_and_back(person: PlayedPerson, start: float, duration: float) -> PlayedPerson:
+    """Somebody who does what was recorded from a start [s] on, at its end backwards, and so on for so long [s]."""
+    kept = person.stamps >= start
+    since, positions = person.stamps[kept] - person.stamps[kept][0], person.positions[kept]
+    parts, times = [positions[:1]], [since[:1]]
+    for turn in range(math.ceil(duration / since[-1])):
+        ahead = turn % 2 == 0
+        parts.append(positions[1:] if ahead else positions[-2::-1])
+        times.append(turn * since[-1] + (since[1:] if ahead else since[-1] - since[-2::-1]))
+    return PlayedPerson(person.name, person.joints, np.concatenate(times), np.concatenate(parts))
 
 
 def described(settings: Settings) -> dict[str, Any]:

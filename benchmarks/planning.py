@@ -23,10 +23,10 @@ from jaxtyping import Float
 from benchmarks.machine import facts, milliseconds, save
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule
-from kinecast.robot.camera import Camera, CameraOptions
+from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.chomp import Chomp
-from kinecast.robot.collaboration import Forecasters, generated_person
+from kinecast.robot.collaboration import generated_person, predictor_named
 from kinecast.robot.collision import LOOKS, CollisionChecker
 from kinecast.robot.person import ReactivePerson
 from kinecast.robot.planner import SCENE_MARGINS, WAYPOINTS, Plan, Planner
@@ -178,7 +178,6 @@ def decisions(episodes: int, limit: float = 60.0) -> dict[str, Any]:
 
     Clocks of a busy machine also count whoever else computes on it.
     """
-    forecasters = Forecasters()
     result: dict[str, Any] = {}
     for name, clock in (("clock", time.perf_counter), ("processor", time.process_time)):
         latencies: list[float] = []
@@ -186,8 +185,8 @@ def decisions(episodes: int, limit: float = 60.0) -> dict[str, Any]:
         for seed in range(FIRST_SEED, FIRST_SEED + episodes):
             cell = Cell()
             people = [ReactivePerson(generated_person(seed, cell))]
-            predict = forecasters.make("kinecast", people)
-            simulation = Simulation(people, predict, Camera(CameraOptions(seed=seed)), cell, limit=limit, clock=clock)
+            predict = predictor_named("kinecast", people)
+            simulation = Simulation(people, predict, Camera(seed=seed), cell, limit=limit, clock=clock)
             episode = simulation.run()
             if name == "clock" and seed == FIRST_SEED:
                 continue  # in which everything is compiled

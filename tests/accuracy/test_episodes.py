@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import jaxtyping
 import pytest
 
+from kinecast.cli import main
+
 from .episodes import LEAST, RECORDED, SCENARIOS, SEEDS, Facts, differences, facts_of, play
 
-ALWAYS = ("replan", 2)
-"""Played always; the others take minutes (KINECAST_LONG=1), and tests/e2e/test_simulate.py plays some."""
 CONTENT = json.loads(RECORDED.read_text())
 
 
@@ -40,9 +41,27 @@ def as_recorded(scenario: str, seed: int) -> Facts:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_decisions_are_as_recorded(scenario: str, seed: int) -> None:
-    if (scenario, seed) != ALWAYS and "KINECAST_LONG" not in os.environ:
-        pytest.skip("one episode is played; set KINECAST_LONG=1 for all")
+    if "KINECAST_LONG" not in os.environ:
+        pytest.skip("one episode is played below; set KINECAST_LONG=1 for all")
     assert differences(play(scenario, seed), *entry_of(scenario, seed)) == []
+
+
+def test_replan_changes_the_cube_in_mid_motion_and_leaves_decisions_and_pictures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["simulate", "--scenario", "replan", "--seed", "2", "--out", str(tmp_path)])
+    assert "change cube" in capsys.readouterr().out
+    episode = json.loads((tmp_path / "episode.json").read_text())["episodes"]["replan"]
+    assert differences(facts_of(episode), *entry_of("replan", 2)) == []
+    decisions = episode["decisions"]
+    switch = next(k for k, each in enumerate(decisions) if each["reaction"] == "change_cube")
+    assert decisions[switch]["target"] == "blue"
+    assert decisions[switch]["taken"]["green"] >= 0.5
+    assert decisions[switch - 1]["target"] == "green"
+    assert decisions[switch - 1]["state"] in ("moving", "slowed"), "on its way"
+    assert json.loads((tmp_path / "outcome.json").read_text())["contacts"] == 0
+    for name in ("storyboard.png", "replan.gif", "replan_timeline.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
 
 
 def test_every_episode_is_recorded_and_none_had_a_contact() -> None:

@@ -39,7 +39,7 @@ def wait_for(what: str, look: Callable[[], Any]) -> Any:
 class Page:
     """One page of a browser, driven through the DevTools protocol."""
 
-    def __init__(self, program: str, folder: Path, url: str) -> None:
+    def __init__(self, program: str, folder: Path) -> None:
         switches = (
             "--headless=new", "--no-sandbox", "--no-first-run",
             "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
@@ -55,6 +55,9 @@ class Page:
         self._socket = connect(target["webSocketDebuggerUrl"], max_size=None, proxy=None, open_timeout=LONG)
         self._numbers = itertools.count(1)
         self.call("Emulation.setDeviceMetricsOverride", width=WIDE, height=HIGH, deviceScaleFactor=1, mobile=False)
+
+    def open(self, url: str) -> None:
+        """Leaves what it showed."""
         self.call("Page.navigate", url=url)
 
     def call(self, method: str, **parameters: object) -> Any:

@@ -1,4 +1,4 @@
-"""`kinecast simulate --view` in headless Chromium: what is drawn, and what the controls do."""
+"""`kinecast simulate --view` and `kinecast live --sink view://…` in headless Chromium: what is drawn, and controls."""
 
 from __future__ import annotations
 
@@ -50,6 +50,14 @@ def view(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     process.communicate(timeout=LONG)
 
 
+@pytest.fixture(scope="module")
+def page(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """Of one browser for all tests."""
+    opened = Page(chromium, tmp_path_factory.mktemp("profile"))
+    yield opened
+    opened.close()
+
+
 def coloured(picture: np.ndarray, strong: int, weak: tuple[int, ...], contrast: int) -> int:
     """Pixels of the scene in which one channel outshines others by a contrast."""
     scene = picture[:, :SCENE]
@@ -57,43 +65,59 @@ def coloured(picture: np.ndarray, strong: int, weak: tuple[int, ...], contrast: 
 
 
 def test_the_cell_is_seen_played_and_scrubbed(
-    chromium: str, view: tuple[subprocess.Popen[str], str], tmp_path: Path
+    page: Page, view: tuple[subprocess.Popen[str], str], tmp_path: Path
 ) -> None:
     process, url = view
-    page = Page(chromium, tmp_path / "profile", url)
-    try:
-        wait_for("moments of the simulation", lambda: page.stamp > 0.6)
-        page.press("Pause")
-        page.go_to(0.5)
-        wait_for("half a second after the beginning", lambda: 0.4 < page.stamp <= 0.5)
+    page.open(url)
+    wait_for("moments of the simulation", lambda: page.stamp > 0.6)
+    page.press("Pause")
+    page.go_to(0.5)
+    wait_for("half a second after the beginning", lambda: 0.4 < page.stamp <= 0.5)
 
-        def drawn() -> bool:
-            picture = page.picture()
-            red, blue = coloured(picture, 0, (1, 2), 90), coloured(picture, 2, (0, 1), 50)  # cubes, the arm's joints
-            skin = coloured(picture, 0, (2,), 45)
-            return red > 50 and blue > 250 and skin > 700
+    def drawn() -> bool:
+        picture = page.picture()
+        red, blue = coloured(picture, 0, (1, 2), 90), coloured(picture, 2, (0, 1), 50)  # cubes, the arm's joints
+        skin = coloured(picture, 0, (2,), 45)
+        return red > 50 and blue > 250 and skin > 700
 
-        wait_for("cubes, arm and person", drawn)
-        stamp, words, before = page.stamp, page.text("state") + page.text("figures"), page.picture()
-        assert "%" in words
-        assert page.text("decisions")
+    wait_for("cubes, arm and person", drawn)
+    stamp, words, before = page.stamp, page.text("state") + page.text("figures"), page.picture()
+    assert "%" in words
+    assert page.text("decisions")
 
-        page.go_to(0.1)
-        wait_for("the first moments", lambda: 0 <= page.stamp <= 0.1)
-        page.go_to(0.5)
-        wait_for("the moment of before", lambda: page.stamp == stamp)
-        wait_for("its words", lambda: page.text("state") + page.text("figures") == words)
-        wait_for("its picture", lambda: np.mean(np.abs(page.picture() - before)[:, :SCENE] > 30) < 0.02)
+    page.go_to(0.1)
+    wait_for("the first moments", lambda: 0 <= page.stamp <= 0.1)
+    page.go_to(0.5)
+    wait_for("the moment of before", lambda: page.stamp == stamp)
+    wait_for("its words", lambda: page.text("state") + page.text("figures") == words)
+    wait_for("its picture", lambda: np.mean(np.abs(page.picture() - before)[:, :SCENE] > 30) < 0.02)
 
-        page.press("Play")
-        wait_for("what comes later", lambda: page.stamp > stamp)
-    finally:
-        page.close()
+    page.press("Play")
+    wait_for("what comes later", lambda: page.stamp > stamp)
     process.send_signal(signal.SIGINT)
     rest, _ = process.communicate(timeout=LONG)
     assert process.returncode == 0, rest
     assert "Traceback" not in rest
-    assert list(tmp_path.iterdir()) == [tmp_path / "profile"]  # it writes nothing it was not told to
+    assert list(tmp_path.iterdir()) == []  # it writes nothing it was not told to
+
+
+def test_people_and_their_predictions_are_seen_in_a_browser(
+    page: Page, start: Callable[..., Any], tables: tuple[Path, Path]
+) -> None:
+    running = start("--source", f"recording:{tables[0]}?repeat=100", "--sink", "view://127.0.0.1:0")
+    page.open(running.sinks[0])
+    shown = "document.getElementById('live')?.innerText"
+    wait_for("a prediction of the recording", lambda: str(tables[0]) in (page.run(shown) or ""))
+
+    def drawn() -> bool:
+        scene = page.picture()[:, :SCENE]
+        skin = np.all([scene[..., 0] - scene[..., 2] > 45, scene[..., 0] > 150], axis=0)
+        shirt = np.all([scene[..., 2] - scene[..., 0] > 20, scene[..., 2] > 80], axis=0)
+        return bool(skin.sum() > 500 and shirt.sum() > 500)
+
+    wait_for("a person", drawn)
+    said = running.end()
+    assert running.sinks[0] in said
 
 
 def test_a_port_that_is_taken_is_named(kinecast: Callable[..., Any]) -> None:

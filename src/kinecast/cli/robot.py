@@ -233,9 +233,9 @@ class People:
 
 def warm_up(samples: int) -> None:
     """Three simulated seconds: what is compiled while an arm moves comes too late."""
-    from kinecast.robot.collaboration import Forecasters, simulate_scenario
+    from kinecast.robot.collaboration import simulate_scenario
 
-    steps = simulate_scenario("avoid", "kinecast", 0, Forecasters(samples), None).steps()
+    steps = simulate_scenario("avoid", "kinecast", 0, samples).steps()
     deque(itertools.islice(steps, round(3.0 / STEP)), maxlen=0)
     gc.collect()
     gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,10 +18,11 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
-    from kinecast.robot.cell import Cell
     from kinecast.robot.episode import Episode
     from kinecast.robot.outcome import Outcome
     from kinecast.robot.person import PlayedPerson
+    from kinecast.robot.simulation import Simulation
+    from kinecast.robot.supervisor import SupervisorOptions
     from kinecast.types import Decision
 
 SYNTHETIC = "synthetic"
@@ -77,135 +77,94 @@ def simulate(
     from kinecast.robot.collaboration import SCENARIOS  # here, since robot and drawing are extras
 
     check_seed(seed)
-    check_scenario(scenario)
-    config = SimulationConfig(person, seed, samples, cell)
-    config.scene()
+    if scenario not in (*SCENARIOS, "all"):
+        raise OptionError(f"--scenario {scenario}: allowed are {', '.join(SCENARIOS)}, all")
+    scripted = tuple(name for name, each in SCENARIOS.items() if each.fetches)
+    names = scripted if scenario == "all" else (scenario,)
+    if out is None and not view:
+        out = OUT
+    if out is not None:
+        check_folder(out)
+    config = SimulationConfig(person, cell, seed, samples)
     if view:
         from kinecast.cli.view import serve  # here, since the view is an extra
 
-        if out is not None:
-            check_folder(out)
-        serve(host, port, scenario, predictor, config, out)
+        serve(host, port, names[0], predictor, config, out)
         return
-    out = OUT if out is None else out
-    check_folder(out)
-    names = tuple(SCENARIOS) if scenario == "all" else (scenario,)
-    episodes = play(names, predictor, config)
-    write(out, episodes, config.settings(scenario, predictor))
+    assert out is not None
+    episodes = {name: config.play(name, predictor) for name in names}
+    config.write(out, episodes, scenario, predictor)
     print(closing_table(episodes))
     print(f"decisions: {out / 'episode.json'}")
     print(f"pictures: {out / 'storyboard.png'}, and a GIF and a timeline of each scenario beside it")
 
 
-@dataclass(frozen=True)
 class SimulationConfig:
-    """Who comes, and how they are predicted, whatever the scenario.
+    """Who comes where, and how they are predicted, whatever the scenario.
 
-    Attributes:
+    Args:
         person: SYNTHETIC, or the path of a recording.
+        cell: its name.
         seed: of the person and the camera.
         samples: motions drawn per prediction.
-        cell: name of the cell.
+
+    Raises:
+        OptionError: no such cell.
+        DatasetError: the recording cannot be read.
     """
 
-    person: str
-    seed: int
-    samples: int
-    cell: str = "camera"
-
-    def scene(self) -> Cell:
-        """The cell of that name.
-
-        Raises:
-            OptionError: there is none.
-        """
+    def __init__(self, person: str, cell: str, seed: int, samples: int) -> None:
         from kinecast.robot.cell import cell_named
-
-        return cell_named(self.cell)
-
-    def player(self) -> PlayedPerson | None:
-        """The recorded person; None for a generated one.
-
-        Raises:
-            DatasetError: the recording cannot be read.
-        """
         from kinecast.robot.collaboration import replayed_person
 
-        if self.person == SYNTHETIC:
-            return None
-        recordings = read_recordings((Path(self.person),), None)
-        return replayed_person(max(recordings, key=lambda each: len(each.stamps)), self.scene())
+        self.cell, self.seed, self.samples = cell_named(cell), seed, samples
+        self.player: PlayedPerson | None = None
+        self._settings = {"person": Path(person).name, "cell": cell, "seed": seed, "samples": samples}
+        if person != SYNTHETIC:
+            recordings = read_recordings((Path(person),), None)
+            self.player = replayed_person(max(recordings, key=lambda each: len(each.stamps)), self.cell)
 
-    def settings(self, scenario: str, predictor: str) -> dict[str, object]:
-        """What was asked for, as written to files."""
-        return {
-            "version": __version__,
-            "scenario": scenario,
-            "person": self.person if self.person == SYNTHETIC else Path(self.person).name,
-            "predictor": predictor,
-            "cell": self.cell,
-            "seed": self.seed,
-            "samples": self.samples,
-        }
+    def simulation(self, scenario: str, predictor: str, options: SupervisorOptions | None = None) -> Simulation:
+        """One episode, ready to run; says that it compiles where that takes long."""
+        from kinecast.robot.collaboration import simulate_scenario
 
-
-def check_scenario(name: str) -> None:
-    """Raises OptionError for a scenario that there is not."""
-    from kinecast.robot.collaboration import SCENARIOS, UNSCRIPTED
-
-    if name not in (*SCENARIOS, UNSCRIPTED, "all"):
-        raise OptionError(f"--scenario {name}: allowed are {', '.join(SCENARIOS)}, {UNSCRIPTED}, all")
-
-
-def play(names: tuple[str, ...], predictor: str, config: SimulationConfig) -> dict[str, tuple[Episode, Outcome]]:
-    """Runs scenarios, and prints the decisions as they fall."""
-    from kinecast.robot.collaboration import Forecasters, simulate_scenario
-    from kinecast.robot.outcome import outcome_of
-
-    player, forecasters, episodes = config.player(), Forecasters(config.samples), {}
-    for name in names:
         with compiling():
-            simulation = simulate_scenario(name, predictor, config.seed, forecasters, player, cell=config.scene())
-        print(f"{name}: {about(name) if player is None else 'a recorded person'}")
+            return simulate_scenario(scenario, predictor, self.seed, self.samples, self.player, options, self.cell)
+
+    def play(self, scenario: str, predictor: str) -> tuple[Episode, Outcome]:
+        """Runs a scenario, and prints the decisions as they fall."""
+        from kinecast.robot.collaboration import SCENARIOS
+        from kinecast.robot.outcome import outcome_of
+
+        simulation = self.simulation(scenario, predictor)
+        print(f"{scenario}: {SCENARIOS[scenario].about if self.player is None else 'a recorded person'}")
         for command in simulation.steps():
             if command.news:
                 print(sentence(command.decision), flush=True)
-        episode = simulation.episode
-        episodes[name] = (episode, outcome_of(episode, simulation.people, simulation.cell))
-    return episodes
+        return simulation.episode, outcome_of(simulation.episode, simulation.people, simulation.cell)
 
+    def write(
+        self, out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], scenario: str, predictor: str, **more: object
+    ) -> None:
+        """Writes decisions, figures and pictures of episodes, with what was asked for."""
+        from kinecast.robot.collaboration import SCENARIOS
+        from kinecast.robot.episode_pictures import animate_episode, draw_storyboard, draw_timeline
+        from kinecast.robot.outcome import write_episodes
 
-def about(name: str) -> str:
-    """What a scenario shows."""
-    from kinecast.robot.collaboration import SCENARIOS
-
-    return SCENARIOS[name].about if name in SCENARIOS else "A person who does what they would at a table."
+        asked = {"version": __version__, "scenario": scenario, "predictor": predictor}
+        write_episodes(out, episodes, {**asked, **self._settings, **more})
+        about = {name: f"{name}: {each.about}" for name, each in SCENARIOS.items()}
+        rows = {about.get(name, name): episode for name, (episode, _) in episodes.items()}
+        draw_storyboard(out / "storyboard.png", rows, self.cell)
+        for name, (episode, _) in episodes.items():
+            animate_episode(out / f"{name}.gif", episode, self.cell, name)
+            draw_timeline(out / f"{name}_timeline.png", episode, f"{name}: {predictor}")
 
 
 def sentence(decision: Decision) -> str:
     """One decision in a line."""
     reaction = "" if decision.reaction is None else f"[{decision.reaction.name.lower().replace('_', ' ')}] "
     return f"{decision.stamp:7.2f} s  {decision.state.name.lower():10}  {reaction}{decision.reason}"
-
-
-def write(out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: Mapping[str, object]) -> None:
-    """Writes the decisions and the pictures."""
-    from kinecast.robot.cell import cell_named
-    from kinecast.robot.episode_file import write_episode, write_outcome
-    from kinecast.robot.storyboard import Row, animate_episode, draw_storyboard
-    from kinecast.robot.timeline import draw_timeline
-    from kinecast.robot.ur5 import UR5
-
-    arm, cell = UR5(), cell_named(str(settings["cell"]))
-    out.mkdir(parents=True, exist_ok=True)
-    write_episode(out / "episode.json", episodes, settings)
-    for name, (_, outcome) in episodes.items():
-        write_outcome((out if len(episodes) == 1 else out / name) / "outcome.json", outcome)
-    rows = [Row(f"{name}: {about(name)}", episode) for name, (episode, _) in episodes.items()]
-    draw_storyboard(out / "storyboard.png", rows, cell, arm)
-    for name, (episode, _) in episodes.items():
-        animate_episode(out / f"{name}.gif", episode, cell, arm, name)
-        draw_timeline(out / f"{name}_timeline.png", episode, f"{name}: {settings['predictor']}")
 
 
 def closing_table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:

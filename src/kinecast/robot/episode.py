@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from kinecast.types import Decision, RobotState
 
-__all__ = ["Episode", "Pose", "Scenery", "Tick"]
+__all__ = ["Episode", "SceneSnapshot", "Tick"]
 
 
 @dataclass(frozen=True)
@@ -40,21 +40,13 @@ class Tick:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
-    """One person at one instant: names of the joints and their places (J, 3) [m]."""
-
-    joints: tuple[str, ...]
-    positions: Float[np.ndarray, "J 3"]
-
-
-@dataclass(frozen=True, eq=False)
-class Scenery:
+class SceneSnapshot:
     """Everything there is to see at one instant.
 
     Attributes:
         stamp: [s].
         q: (6,) of the arm [rad].
-        people: where they truly are.
+        people: names of joints and where they truly are (J, 3) [m], of each.
         cubes: where they are [m].
         region: (S, T, 2, 3) predicted wrists [m]; empty where nothing is predicted.
         tube: (C, 7) start, end and radius of the occupied capsules half the horizon ahead [m].
@@ -64,7 +56,7 @@ class Scenery:
 
     stamp: float
     q: Float[np.ndarray, "6"]
-    people: tuple[Pose, ...]
+    people: tuple[tuple[tuple[str, ...], Float[np.ndarray, "J 3"]], ...]
     cubes: Mapping[str, Float[np.ndarray, "3"]]
     region: Float[np.ndarray, "S T 2 3"]
     tube: Float[np.ndarray, "C 7"]
@@ -92,7 +84,7 @@ class Episode:
 
     ticks: list[Tick] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
-    scenes: list[Scenery] = field(default_factory=list)
+    scenes: list[SceneSnapshot] = field(default_factory=list)
     latencies: list[float] = field(default_factory=list)
     plannings: list[float] = field(default_factory=list)
     replans: int = 0

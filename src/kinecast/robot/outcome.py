@@ -1,20 +1,25 @@
-"""What came of an episode, in figures."""
+"""What came of an episode: its figures, and both as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kinecast.datasets.summary import runs
+from kinecast.evaluation.output import write_atomically
 from kinecast.robot.cell import Cell
 from kinecast.robot.episode import Episode
 from kinecast.robot.person import Person
-from kinecast.types import Reaction, RobotState
+from kinecast.types import Decision, Reaction, RobotState
 
-__all__ = ["Outcome", "outcome_of"]
+__all__ = ["Outcome", "outcome_of", "write_episodes"]
 
 MOVES = 0.01
 """The arm moves while any point of it does, faster than this [m/s]."""
@@ -25,6 +30,8 @@ SOON, NEAR = 1.0, 0.27
 NEARLY = 0.2
 """Two steps of the roll-out (kinecast.robot.expected_time.STEP) [s]."""
 ON_THE_WAY = {RobotState.WAITING, RobotState.STOPPED, RobotState.REPLANNING}
+EVERY = 5
+"""Control steps between two rows of the timeline in episode.json: 25 a second."""
 
 
 @dataclass(frozen=True)
@@ -69,27 +76,24 @@ class Outcome:
     forecast_held: float
 
     def plain(self) -> dict[str, Any]:
-        """As `simulate` writes it to outcome.json; what is not finite becomes null."""
-        pairs = {
-            "latency_ms": (self.latency_p50, self.latency_p99),
-            "planning_ms": (self.planning_p50, self.planning_p99),
-        }
+        """As `simulate` writes it to outcome.json."""
         return {
             "result": self.result,
-            "time_to_done_s": _finite(self.time_to_done),
+            "time_to_done_s": self.time_to_done,
             "stops": self.stops,
-            "stopped_s": _finite(self.stopped),
+            "stopped_s": self.stopped,
             "contacts": self.contacts,
             "contacts_moving": self.contacts_moving,
-            "violation_s": _finite(self.violation),
-            "least_distance_m": _finite(self.least_distance),
+            "violation_s": self.violation,
+            "least_distance_m": self.least_distance,
             "replans": self.replans,
             "false_replans": self.false_replans,
-            **{name: {"p50": _finite(p50), "p99": _finite(p99)} for name, (p50, p99) in pairs.items()},
+            "latency_ms": {"p50": self.latency_p50, "p99": self.latency_p99},
+            "planning_ms": {"p50": self.planning_p50, "p99": self.planning_p99},
             "forecast": {
                 "ways": self.forecasts,
-                "median_relative_error": _finite(self.forecast_error),
-                "within_90_percent": _finite(self.forecast_held),
+                "median_relative_error": self.forecast_error,
+                "within_90_percent": self.forecast_held,
             },
         }
 
@@ -97,15 +101,18 @@ class Outcome:
 def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcome:
     """Figures of an episode with these people in this cell."""
     ticks = episode.ticks
-    stamps = np.array([tick.stamp for tick in ticks])
-    dt = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    dt = float(np.median(np.diff([tick.stamp for tick in ticks]))) if len(ticks) > 1 else 0.0
     distance = np.array([tick.distance for tick in ticks])
     moving = np.array([tick.arm_speed > MOVES for tick in ticks])
     short = np.array([tick.margin < 0 for tick in ticks])
-    waiting = np.array([tick.state in ON_THE_WAY and tick.arm_speed <= MOVES for tick in ticks])
+    waiting = np.array([tick.state in ON_THE_WAY for tick in ticks]) & ~moving
     stops = [last - first for first, last in runs(waiting) if (last - first) * dt >= LONG_ENOUGH]
     missing = [name for name in cell.order if name not in episode.placed or name in episode.given_up]
-    latency, planning = _percentiles(episode.latencies), _percentiles(episode.plannings)
+    latency, planning = (
+        1e3 * np.percentile(seconds or [np.nan], [50, 99]) for seconds in (episode.latencies, episode.plannings)
+    )
+    took, mean, low, high = np.array(episode.forecasts or [(np.nan,) * 4]).T
+    held = (low - NEARLY <= took) & (took <= high + NEARLY)
     return Outcome(
         result=f"without {', '.join(missing)}" if missing else "done",
         contacts=len(runs(distance <= 0)),
@@ -116,53 +123,75 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
         stops=len(stops),
         stopped=dt * sum(stops),
         replans=episode.replans,
-        false_replans=_false_replans(episode, people, cell),
-        latency_p50=latency[0],
-        latency_p99=latency[1],
-        planning_p50=planning[0],
-        planning_p99=planning[1],
+        false_replans=sum(_is_false(each, people, cell) for each in episode.decisions),
+        latency_p50=float(latency[0]),
+        latency_p99=float(latency[1]),
+        planning_p50=float(planning[0]),
+        planning_p99=float(planning[1]),
         forecasts=len(episode.forecasts),
-        forecast_error=float(np.median([abs(took / mean - 1.0) for took, mean, *_ in episode.forecasts] or [np.nan])),
-        forecast_held=_held(episode.forecasts),
+        forecast_error=float(np.median(np.abs(took / mean - 1.0))),
+        forecast_held=float(held.mean()) if episode.forecasts else math.nan,
     )
 
 
-def _held(forecasts: Sequence[tuple[float, float, float, float]]) -> float:
-    """Share of times within their intervals; NaN of nothing."""
-    within = [low - NEARLY <= took <= high + NEARLY for took, _, low, high in forecasts]
-    return float(np.mean(within)) if within else float("nan")
+def _is_false(decision: Decision, people: Sequence[Person], cell: Cell) -> bool:
+    """Whether it changes the cube for nothing."""
+    if decision.reaction not in (Reaction.TAKE_ANOTHER, Reaction.CHANGE_CUBE):
+        return False
+    left = [name for name, chance in decision.taken.items() if chance >= 0.5 and name != decision.target]
+    for person in people:
+        wrists = [joint.endswith("wrist") for joint in person.joints]
+        for time in decision.stamp + np.linspace(-0.2, SOON, 13):
+            pose = person.at(float(time))
+            if pose is None:
+                continue
+            for name in left:
+                if np.linalg.norm(pose[wrists] - cell.cube(name).position, axis=1).min() < NEAR:
+                    return False
+    return True
 
 
-def _finite(value: float) -> float | None:
-    return round(value, 5) if np.isfinite(value) else None
+def write_episodes(
+    folder: Path, episodes: Mapping[str, tuple[Episode, Outcome]], settings: Mapping[str, object]
+) -> None:
+    """Writes episodes by name to episode.json, and figures to outcome.json: of several, each in a folder of its name.
+
+    Args:
+        folder: of the files.
+        episodes: and their figures.
+        settings: what was asked for.
+    """
+    content = {
+        "settings": settings,
+        "episodes": {name: _content(episode, outcome) for name, (episode, outcome) in episodes.items()},
+    }
+    _write(folder / "episode.json", content)
+    for name, (_, outcome) in episodes.items():
+        _write((folder if len(episodes) == 1 else folder / name) / "outcome.json", outcome.plain())
 
 
-def _percentiles(seconds: Sequence[float]) -> tuple[float, float]:
-    """Median and 99th percentile in milliseconds; NaN of nothing."""
-    if not seconds:
-        return float("nan"), float("nan")
-    p50, p99 = 1e3 * np.percentile(seconds, [50, 99])
-    return float(p50), float(p99)
+def _content(episode: Episode, outcome: Outcome) -> dict[str, Any]:
+    return {
+        "outcome": dataclasses.asdict(outcome),
+        "placed": episode.placed,
+        "given_up": episode.given_up,
+        "decisions": [dataclasses.asdict(each) for each in episode.decisions],
+        "timeline": [dataclasses.asdict(tick) for tick in episode.ticks[::EVERY]],
+    }
 
 
-def _false_replans(episode: Episode, people: Sequence[Person], cell: Cell) -> int:
-    """Changes of cube for nothing."""
-    count = 0
-    for decision in episode.decisions:
-        if decision.reaction not in (Reaction.TAKE_ANOTHER, Reaction.CHANGE_CUBE):
-            continue
-        left = [name for name, chance in decision.taken.items() if chance >= 0.5 and name != decision.target]
-        times = decision.stamp + np.linspace(-0.2, SOON, 13)
-        reached = any(_nearest(person, cell, name, float(time)) < NEAR
-                      for person in people for name in left for time in times)  # fmt: skip
-        count += not reached
-    return count
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    write_atomically(path, (json.dumps(_plain(content), indent=1) + "\n").encode())
 
 
-def _nearest(person: Person, cell: Cell, name: str, time: float) -> float:
-    """From the nearer wrist to a cube [m]; inf while nobody is there."""
-    pose = person.at(time)
-    if pose is None:
-        return np.inf
-    wrists = pose[[joint.endswith("wrist") for joint in person.joints]]
-    return float(np.linalg.norm(wrists - cell.cube(name).position, axis=1).min())
+def _plain(value: Any) -> Any:
+    """Names for states, numbers rounded to what they mean; what JSON cannot say (no distance, no time) as null."""
+    if isinstance(value, RobotState | Reaction):
+        return value.name.lower()
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, float):
+        return round(value, 5) if math.isfinite(value) else None
+    return value

@@ -6,20 +6,19 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from kinecast.robot.body import TRUE_BODY, body_capsules
-from kinecast.robot.camera import Camera, CameraOptions
+from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
 from kinecast.robot.driver import SimulatedDriver
-from kinecast.robot.episode import Episode, Pose, Scenery, Tick
+from kinecast.robot.episode import Episode, SceneSnapshot, Tick
 from kinecast.robot.execution import Executor
 from kinecast.robot.person import Person, ReactivePerson
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
 from kinecast.robot.planning_desk import DeferredDesk, Solve
-from kinecast.robot.separation import SeparationOptions, separation
+from kinecast.robot.separation import Separation, SeparationOptions, separation
 from kinecast.robot.supervisor import Command, Supervisor, SupervisorOptions
 from kinecast.robot.ur5 import UR5, LinkCapsules
 from kinecast.types import Prediction, SkeletonFrame
@@ -33,6 +32,10 @@ MOMENT = 0.01
 """A person's true speed is taken over this time [s]."""
 SHOWN = 60
 """Samples kept for pictures."""
+TRUTH = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0, across=0.0)
+"""Monitoring that knows everything."""
+UPRIGHT = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
+"""The arm begins as near to this as it can rest: elbow up, over the table's side [rad]."""
 
 
 class Simulation:
@@ -45,7 +48,6 @@ class Simulation:
         cell: what is to be done.
         options: how the foreman decides.
         solve: the planner; the arm's own by default.
-        latency: time until a plan can be had [s].
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
         clock: that latencies are taken by [s]; nothing that happens depends on it.
@@ -59,30 +61,21 @@ class Simulation:
         cell: Cell | None = None,
         options: SupervisorOptions | None = None,
         solve: Solve | None = None,
-        latency: float = 0.1,
         dt: float = 0.008,
         limit: float = 120.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.arm, self.cell = UR5(), cell or Cell()
         self.people, self.predict, self.limit = people, predict, limit
-        self.camera = camera or Camera(CameraOptions(delay=self.cell.delay))
-        q = self._start()
+        self.camera = camera or Camera(delay=self.cell.delay)
+        q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
         options = options or SupervisorOptions()
         chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell, options.choice)
-        self.desk = DeferredDesk(solve or chooser.choose, latency, clock)
+        self.desk = DeferredDesk(solve or chooser.choose, clock=clock)
         self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
         self.episode = Episode()
-        self._truth = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0, across=0.0)
-
-    def _start(self) -> Float[np.ndarray, "6"]:
-        """Where the arm rests: elbow up, over the table's side."""
-        upright = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
-        found = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), upright, self.arm.q_range)
-        start: Float[np.ndarray, "6"] = found[0]
-        return start
 
     def run(self) -> Episode:
         """To the end: every cube in its place, or out of time."""
@@ -94,10 +87,8 @@ class Simulation:
         """Step by step; each yields what the arm was told."""
         episode, dt = self.episode, self.driver.dt
         for index in range(round(self.limit / dt)):
-            now = index * dt
-            command = self._step(now)
-            episode.end = now
-            yield command
+            episode.end = index * dt
+            yield self._step(episode.end)
             if self.supervisor.done:
                 break
         episode.replans = self.supervisor.replans
@@ -122,20 +113,26 @@ class Simulation:
         before = self.driver.state()
         if command.closed != before.closed:
             self.driver.grip(command.closed)
-        q = self.driver.move(command.q)
-        self._note(now, before.q, q, command)
+        capsules = self.arm.capsules(np.stack([before.q, self.driver.move(command.q)]))
+        episode.ticks.append(self._tick(now, capsules, command))
+        for person in self.people:
+            if isinstance(person, ReactivePerson) and person.at(now) is not None:
+                person.mind(LinkCapsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
+        sequence = supervisor.sequence
+        for name in self.cell.order:
+            if name not in (*episode.placed, *sequence.remaining, *sequence.given_up):
+                episode.placed[name] = now
         if command.news:
             episode.decisions.append(command.decision)
         if shots:
-            episode.scenes.append(self._scenery(now, command))
+            episode.scenes.append(self._snapshot(now, command))
         return command
 
-    def _note(self, now: float, last: Float[np.ndarray, "6"], q: Float[np.ndarray, "6"], command: Command) -> None:
-        """The truth about this step."""
-        dt = self.driver.dt
-        capsules = self.arm.capsules(np.stack([last, q]))
+    def _tick(self, now: float, capsules: LinkCapsules, command: Command) -> Tick:
+        """The truth about a step, of the arm's capsules before and after it (N = 2)."""
+        dt, decision = self.driver.dt, command.decision
         velocity = (capsules.start[1] - capsules.start[0]) / dt, (capsules.end[1] - capsules.end[0]) / dt
-        distance, required, margin = np.inf, 0.0, np.inf
+        found = [Separation()]
         for person in self.people:
             here, soon = person.at(now), person.at(now + MOMENT)
             if here is None:
@@ -143,51 +140,39 @@ class Simulation:
             body = body_capsules(person.joints, here, TRUE_BODY)
             later = body if soon is None else body_capsules(person.joints, soon, TRUE_BODY)
             speed = (later.start - body.start) / MOMENT, (later.end - body.end) / MOMENT
-            found = separation(
+            found.append(separation(
                 (capsules.start[1], capsules.end[1], capsules.radius), velocity,
-                (body.start, body.end, body.radius), speed, np.zeros(len(body.radius)), self._truth,
-            )  # fmt: skip
-            distance = min(distance, found.distance)
-            if found.margin < margin:
-                margin, required = found.margin, found.required
-            if isinstance(person, ReactivePerson):
-                person.mind(LinkCapsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
-        decision = command.decision
-        self.episode.ticks.append(
-            Tick(
-                now,
-                decision.state,
-                decision.speed,
-                distance,
-                required,
-                margin,
-                float(np.linalg.norm(velocity, axis=-1).max()),
-                decision.distance,
-                decision.separation,
-            )
+                (body.start, body.end, body.radius), speed, np.zeros(len(body.radius)), TRUTH,
+            ))  # fmt: skip
+        worst = min(found, key=lambda each: each.margin)
+        return Tick(
+            stamp=now,
+            state=decision.state,
+            speed=decision.speed,
+            distance=min(each.distance for each in found),
+            required=worst.required,
+            margin=worst.margin,
+            arm_speed=float(np.linalg.norm(velocity, axis=-1).max()),
+            measured=decision.distance,
+            limit=decision.separation,
         )
-        sequence = self.supervisor.sequence
-        for name in self.cell.order:
-            if name not in (*self.episode.placed, *sequence.remaining, *sequence.given_up):
-                self.episode.placed[name] = now
 
-    def _scenery(self, now: float, command: Command) -> Scenery:
+    def _snapshot(self, now: float, command: Command) -> SceneSnapshot:
         """What a picture of this moment needs."""
-        poses = [(person.joints, person.at(now)) for person in self.people]
-        predictions = self.supervisor.people.predictions
+        people = self.supervisor.people
         region = np.empty((0, 0, 2, 3))
-        if predictions:
-            samples = predictions[0].samples
+        if people.predictions:
+            samples = people.predictions[0].samples
             region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
         ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
-        way = np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead])
-        return Scenery(
+        poses = [(person.joints, person.at(now)) for person in self.people]
+        return SceneSnapshot(
             stamp=now,
             q=self.driver.state().q,
-            people=tuple(Pose(joints, positions) for joints, positions in poses if positions is not None),
+            people=tuple((joints, pose) for joints, pose in poses if pose is not None),
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
-            tube=self.supervisor.people.occupancy(now, now + 0.25),
-            way=way,
+            tube=people.occupancy(now, now + 0.25),
+            way=np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead]),
             decision=command.decision,
         )

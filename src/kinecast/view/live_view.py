@@ -10,20 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
 from kinecast.live.counters import SinkCounters
-from kinecast.live.publication import Publication
-from kinecast.types import LIMBS, Status
-from kinecast.view.colours import hex_of
-from kinecast.view.nodes import LATE, OPACITY, REGION, SOON, CapsulesNode, People
-from kinecast.view.scene_nodes import draw_scene
+from kinecast.live.publication import Publication, colour_of
+from kinecast.types import LIMBS
+from kinecast.view.nodes import People, ahead, draw_floor, draw_scene, tubes
 from kinecast.view.server import open_server, stop_server, url_of
-
-try:
-    from viser import ViserServer
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("the browser view", "view") from error
 
 if TYPE_CHECKING:
     from kinecast.cameras.overlay import Picture
@@ -40,7 +32,6 @@ MOST_SHOWN = 16
 """Persons; of more, those whose predictions are newest."""
 FROM = np.array([1.9, -1.4, 0.9])
 """Where the first person is looked at from [m]."""
-GOOD, UNSURE, LOST = (24, 128, 64), (178, 112, 0), (190, 38, 38)
 
 
 class LiveView:
@@ -59,7 +50,17 @@ class LiveView:
         self._server = open_server(host, port, name)
         self.address = url_of(self._server)
         self.counters = SinkCounters(self.address, "drawn")
-        self._stage = _Stage(self._server, scene)
+        scene_api = self._server.scene
+        scene_api.set_up_direction("+z")
+        self._server.initial_camera.up = (0.0, 0.0, 1.0)
+        draw_floor(scene_api)
+        if scene is not None:
+            draw_scene(scene_api, scene)
+        self._people, self._tubes = People(scene_api), tubes(scene_api)
+        self._arms = scene_api.add_line_segments("/region/arms", np.zeros((0, 2, 3)), (0, 0, 0), thickness=0.008)
+        self._aimed = False
+        self.words = self._server.gui.add_html(_words([]))
+        self.images: dict[str, Any] = {}  # of each source, as shown
         self._waiting: dict[tuple[str, str], Publication] = {}
         self._shown: dict[tuple[str, str], tuple[Publication, float]] = {}
         self._pictures: dict[str, Picture] = {}  # of each source, until it is shown
@@ -112,74 +113,45 @@ class LiveView:
             shown = [publication for publication, _ in self._shown.values()]
             for source in list(self._pictures):
                 picture = self._pictures.pop(source)
-                self._stage.picture(source, drawn(picture, [each for each in shown if each.source == source]))
+                image = drawn(picture, [each for each in shown if each.source == source])
+                if source not in self.images:
+                    add = self._server.gui.add_image
+                    self.images[source] = add(image, label=source, format="jpeg", jpeg_quality=80)
+                self.images[source].image = image
 
     def _refresh(self, newest: Mapping[tuple[str, str], Publication], now: float) -> None:
-        gone = [key for key, (_, since) in self._shown.items() if now - since > GONE]
-        if not newest and not gone:
+        there = {key: each for key, each in self._shown.items() if now - each[1] <= GONE}
+        if not newest and len(there) == len(self._shown):
             return
-        for key in gone:
-            del self._shown[key]
-        self._shown.update({key: (publication, now) for key, publication in newest.items()})
-        last = sorted(self._shown.values(), key=lambda each: each[1])[-MOST_SHOWN:]
-        self._shown = {publication.key: (publication, since) for publication, since in last}
+        there |= {key: (publication, now) for key, publication in newest.items()}
+        self._shown = dict(sorted(there.items(), key=lambda each: each[1][1])[-MOST_SHOWN:])
         with self._server.atomic():
-            self._stage.show([publication for publication, _ in self._shown.values()])
+            self._draw([publication for publication, _ in self._shown.values()])
         self._server.flush()
 
-
-class _Stage:
-    """Everything that is seen."""
-
-    def __init__(self, server: ViserServer, scene: Scene | None) -> None:
-        self._server = server
-        server.scene.set_up_direction("+z")
-        server.initial_camera.up = (0.0, 0.0, 1.0)
-        server.scene.add_grid(
-            "/floor", 6.0, 6.0, cell_size=0.25, cell_color=(226, 229, 233), section_size=1.0,
-            section_color=(208, 213, 219), shadow_opacity=0.12,
-        )  # fmt: skip
-        if scene is not None:
-            draw_scene(server.scene, scene)
-        self._people = People(server.scene)
-        self._tubes = CapsulesNode(server.scene, "/region/tubes", REGION, OPACITY)
-        self._arms: Any = server.scene.add_line_segments(
-            "/region/arms", np.zeros((0, 2, 3), dtype=np.float32), np.zeros((0, 2, 3), dtype=np.uint8), thickness=0.008
-        )
-        self._aimed = False
-        self._pictures: dict[str, Any] = {}
-        self._words = server.gui.add_html(_words([]))
-
-    def show(self, publications: Sequence[Publication]) -> None:
+    def _draw(self, publications: Sequence[Publication]) -> None:
         """These persons and no others."""
-        self._people.show([_body(each) for each in publications])
-        if not self._aimed and publications:
-            self._aim(_body(publications[0])[1])
+        bodies = [_body(each) for each in publications]
+        self._people.show(bodies)
+        for _, positions in bodies:
+            self._aim(positions)
         known = [each for each in publications if np.isfinite(each.prediction.mean).any()]
-        self._tubes.hide()
+        rows = [np.concatenate([each.tubes.start, each.tubes.end, each.tubes.radius[..., None]], axis=-1)[
+            [len(each.tubes.radius) // 2, -1]] for each in known]  # fmt: skip
+        self._tubes.show(np.array(rows).reshape(-1, 7))
         self._arms.visible = bool(known)
         if known:
-            tubes = [each.tubes for each in known]
-            self._tubes.show(*(
-                np.concatenate([getattr(each, part)[[len(each.radius) // 2, -1]].reshape(-1, *size) for each in tubes])
-                for part, size in (("start", (3,)), ("end", (3,)), ("radius", ()))
-            ))  # fmt: skip
-            lines = [_lines(each) for each in known]
-            self._arms.points = np.concatenate([points for points, _ in lines])
-            self._arms.colors = np.concatenate([colours for _, colours in lines])
-        self._words.content = _words(publications)
-
-    def picture(self, source: str, image: np.ndarray) -> None:
-        """A camera's picture, beside."""
-        if source in self._pictures:
-            self._pictures[source].image = image
-        else:
-            self._pictures[source] = self._server.gui.add_image(image, label=source, format="jpeg", jpeg_quality=80)
+            lines = [each.prediction.mean[:, np.array(LIMBS)] for each in known]  # (T, 4, 2, 3)
+            points, colours = (np.concatenate([each.reshape(-1, 2, 3) for each in some])
+                               for some in (lines, map(ahead, lines)))  # fmt: skip
+            seen = np.isfinite(points).all(axis=(1, 2))
+            self._arms.points, self._arms.colors = points[seen].astype(np.float32), colours[seen]
+        self.words.content = _words(publications)
 
     def _aim(self, body: np.ndarray) -> None:
         """Looks at the first person, once."""
         seen = body[np.isfinite(body).all(axis=1)]
-        if not len(seen):
+        if self._aimed or not len(seen):
             return
         self._aimed = True
         middle = np.median(seen, axis=0)
@@ -194,26 +166,16 @@ def _body(publication: Publication) -> tuple[tuple[str, ...], np.ndarray]:
     return frame.joints[:count], frame.positions[:count]
 
 
-def _lines(publication: Publication) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2, 3) the arms at every predicted step [m], and (N, 2, 3) their colours."""
-    mean = publication.prediction.mean
-    share = np.linspace(0.0, 1.0, len(mean))[:, None, None, None]
-    points = np.stack([mean[:, list(limb)] for limb in LIMBS], axis=1).astype(np.float32)
-    colours = np.broadcast_to(SOON + share * (LATE - SOON), points.shape).astype(np.uint8)
-    known = np.isfinite(points).all(axis=(2, 3))
-    return points[known], colours[known]
-
-
 def _words(publications: Sequence[Publication]) -> str:
     """Who is there, and what robots are to make of it; names come from outside and are escaped."""
     if not publications:
         return '<div id="live">Nobody is seen.</div>'
     rows = []
     for each in publications:
-        status = each.prediction.status
-        colour = GOOD if status is Status.OK else LOST if status in (Status.FAULT, Status.BLOCKED) else UNSURE
+        status, (red, green, blue) = each.prediction.status, colour_of(each.prediction.status)
         rows.append(
             f"<p><b>{html.escape(each.prediction.person)}</b> · {html.escape(each.source)}<br>"
-            f'<span style="color:{hex_of(colour)}">{status.name}</span>: {html.escape(status.advice)}</p>'
+            f'<span style="color:rgb({red:.0%} {green:.0%} {blue:.0%})">{status.name}</span>: '
+            f"{html.escape(status.advice)}</p>"
         )
     return f'<div id="live" style="overflow-wrap:anywhere;padding:0 1em">{"".join(rows)}</div>'

@@ -7,15 +7,12 @@ import io
 import logging
 import socket
 
-from kinecast.errors import MissingExtraError, OptionError
+from viser import ViserServer
+from websockets.exceptions import InvalidHandshake
 
-try:
-    from viser import ViserServer
-    from websockets.exceptions import InvalidHandshake
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("the browser view", "view") from error
+from kinecast.errors import OptionError
 
-__all__ = ["check_address", "open_server", "stop_server", "url_of"]
+__all__ = ["open_server", "stop_server", "url_of"]
 
 
 class _Server(ViserServer):
@@ -39,9 +36,16 @@ def open_server(host: str, port: int, name: str) -> ViserServer:
         name: of the address in messages.
 
     Raises:
-        OptionError: nothing can listen there.
+        OptionError: nothing can listen there; the message says why.
     """
-    check_address(host, port, name)
+    if not 0 <= port <= 65535:
+        raise OptionError(f"{name}: allowed is 0 (any free one) to 65535")
+    try:
+        family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        socket.create_server((host, port), family=family).close()
+    except (OSError, UnicodeError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise OptionError(f"{name}: nothing can listen there ({why})") from None
     logging.getLogger("websockets.server").addFilter(_worth_a_trace)
     with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
         server = _Server(host, port, label="kinecast", verbose=False)
@@ -66,23 +70,3 @@ def url_of(server: ViserServer) -> str:
     host = server.get_host()
     name = "127.0.0.1" if host in ("0.0.0.0", "") else f"[{host}]" if ":" in host else host
     return f"http://{name}:{server.get_port()}"
-
-
-def check_address(host: str, port: int, name: str) -> None:
-    """Check that a server can listen there.
-
-    Raises:
-        OptionError: it cannot; the message says why.
-    """
-    if not 0 <= port <= 65535:
-        raise OptionError(f"{name}: allowed is 0 (any free one) to 65535")
-    try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, kind, protocol, _, address = found[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-            probe.listen()
-    except (OSError, UnicodeError) as error:
-        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise OptionError(f"{name}: nothing can listen there ({why})") from None

@@ -69,7 +69,7 @@ def test_what_is_missing_is_named_and_the_episodes_end_counts() -> None:
 def test_a_change_of_cube_is_false_if_nobody_reached_for_the_one_left(height: float, false: int) -> None:
     wrist = CELL.cube("green").position + np.array([0.0, 0.0, height])
     pose = np.stack([wrist + np.array([0.4, 0.0, 0.4]), wrist])
-    person = PlayedPerson("a", ("left_shoulder", "left_wrist"), np.arange(2.0), np.stack([pose, pose]), np.eye(4))
+    person = PlayedPerson("a", ("left_shoulder", "left_wrist"), np.arange(2.0), np.stack([pose, pose]))
     whole = episode((2.0, QUIET))
     whole.decisions.append(
         Decision(

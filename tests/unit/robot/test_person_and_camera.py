@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.robot.camera import Camera, CameraOptions
+from kinecast.robot.camera import Camera
 from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.ur5 import LinkCapsules
 
@@ -23,7 +23,7 @@ def mover(speed: float = 0.5, duration: float = 3.0) -> PlayedPerson:
     """Somebody who glides along x."""
     stamps = np.linspace(0.0, duration, 31)
     positions = POSE + (speed * stamps)[:, None, None] * [1.0, 0.0, 0.0]
-    return PlayedPerson("a", JOINTS, stamps, positions, np.eye(4))
+    return PlayedPerson("a", JOINTS, stamps, positions)
 
 
 def test_a_played_person_moves_evenly_and_stands_before_and_after() -> None:
@@ -37,17 +37,10 @@ def test_gaps_in_a_recording_are_bridged_and_absence_is_none() -> None:
     positions = np.repeat(POSE[None], 5, axis=0)
     positions[:, 2, 0] += np.arange(5.0)
     positions[2, 2] = np.nan
-    person = PlayedPerson("a", JOINTS, np.arange(5.0), positions, np.eye(4), present=(1.0, 3.0))
+    person = PlayedPerson("a", JOINTS, np.arange(5.0), positions, present=(1.0, 3.0))
     assert person.at(2.0)[2, 0] == pytest.approx(2.35)
     assert person.at(0.5) is None
     assert person.at(3.0) is None
-
-
-def test_a_person_is_placed_by_a_transform() -> None:
-    T = np.diag([-1.0, -1.0, 1.0, 1.0])
-    T[:3, 3] = 1.0, 0.0, -0.9
-    person = PlayedPerson("a", JOINTS, np.arange(2.0), np.repeat(POSE[None], 2, axis=0), T)
-    np.testing.assert_allclose(person.at(0.0)[2], [0.65, -0.2, 0.15])
 
 
 def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:
@@ -78,8 +71,8 @@ def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again(
 
 
 def test_the_camera_takes_every_shot_once_late_and_the_same_for_the_same_seed() -> None:
-    person, options = mover(), CameraOptions(delay=0.05, seed=3)
-    one, other = Camera(options), Camera(options)
+    person = mover()
+    one, other = Camera(delay=0.05, seed=3), Camera(delay=0.05, seed=3)
     shots = [shot for k in range(250) for shot in one.shots(k / 125, [person])]
     at_once = other.shots(2.0, [person])
     stamps = np.array([shot.stamp for shot in shots])
@@ -89,25 +82,21 @@ def test_the_camera_takes_every_shot_once_late_and_the_same_for_the_same_seed() 
         np.testing.assert_array_equal(a.frames[0].positions, b.frames[0].positions)
     errors = np.concatenate([shot.frames[0].positions - person.at(shot.stamp) for shot in shots]).ravel()
     errors = errors[np.isfinite(errors)]
-    assert np.std(errors) == pytest.approx(options.noise, rel=5 / np.sqrt(2 * len(errors)))
+    assert np.std(errors) == pytest.approx(one.noise, rel=5 / np.sqrt(2 * len(errors)))
 
 
 def test_the_camera_falls_silent_goes_blind_and_loses_arms() -> None:
-    options = CameraOptions(noise=0.0, dropped=0.0, lost=0.0, silent=((0.5, 1.0),), blind=((1.2, 1.4),))
-    shots = Camera(options).shots(2.0, [mover()])
+    camera = Camera(noise=0.0, dropped=0.0, lost=0.0, silent=((0.5, 1.0),), blind=((1.2, 1.4),))
+    shots = camera.shots(2.0, [mover()])
     assert not any(0.5 <= shot.stamp < 1.0 for shot in shots)
     for shot in shots:
         assert np.isnan(shot.frames[0].positions).all() == (1.2 <= shot.stamp < 1.4)
-    lossy = Camera(CameraOptions(lost=0.5, dropped=0.0)).shots(3.0, [mover()])
+    lossy = Camera(lost=0.5, dropped=0.0).shots(3.0, [mover()])
     lost = sum(not shot.frames[0].valid.all() for shot in lossy)
     assert abs(lost / len(lossy) - 0.5) < 4 * 0.5 / np.sqrt(len(lossy))
     assert all(shot.frames[0].valid[[0, 3, 6, 7]].all() for shot in lossy), "shoulders, head and hips are seen"
 
 
-def test_bad_persons_and_cameras_are_refused() -> None:
+def test_bad_persons_are_refused() -> None:
     with pytest.raises(OptionError, match="stamps must rise"):
-        PlayedPerson("a", JOINTS, np.array([1.0, 0.0]), np.zeros((2, 8, 3)), np.eye(4))
-    with pytest.raises(OptionError, match="do not fit"):
-        PlayedPerson("a", JOINTS, np.array([0.0, 1.0]), np.zeros((2, 7, 3)), np.eye(4))
-    with pytest.raises(OptionError, match="lost"):
-        CameraOptions(lost=1.5)
+        PlayedPerson("a", JOINTS, np.array([1.0, 0.0]), np.zeros((2, 8, 3)))

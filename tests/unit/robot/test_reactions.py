@@ -8,9 +8,9 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from kinecast.robot.camera import Camera, CameraOptions
+from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
-from kinecast.robot.collaboration import Forecasters, generated_person, simulate_scenario
+from kinecast.robot.collaboration import generated_person, predictor_named, simulate_scenario
 from kinecast.robot.outcome import outcome_of
 from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
@@ -25,13 +25,8 @@ def _without_checks() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
-@pytest.fixture(scope="module")
-def forecasters() -> Forecasters:
-    return Forecasters(samples=60)
-
-
-def test_it_follows_another_path_within_150_ms_of_the_first_prediction_that_says_so(forecasters: Forecasters) -> None:
-    simulation = simulate_scenario("replan", "oracle", 0, forecasters)
+def test_it_follows_another_path_within_150_ms_of_the_first_prediction_that_says_so() -> None:
+    simulation = simulate_scenario("replan", "oracle", 0)
     said = switched = follows = np.inf
     for command in simulation.steps():
         decision = command.decision
@@ -49,17 +44,15 @@ def test_it_follows_another_path_within_150_ms_of_the_first_prediction_that_says
     assert follows - said <= 0.15
 
 
-def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped_model(
-    forecasters: Forecasters,
-) -> None:
+def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped_model() -> None:
     cell = Cell(cubes=Cell().cubes[:1])
     whole = generated_person(5, Cell())
     people = [
-        ReactivePerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, np.eye(4), (0.0, 5.5))),
-        ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, np.eye(4), (7.0, 60.0))),
+        ReactivePerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, (0.0, 5.5))),
+        ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, (7.0, 60.0))),
     ]
-    camera = Camera(CameraOptions(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2))
-    simulation = Simulation(people, forecasters.make("kinecast", people), camera, cell, limit=40.0, dt=0.02)
+    camera = Camera(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2)
+    simulation = Simulation(people, predictor_named("kinecast", people, 60), camera, cell, limit=40.0, dt=0.02)
     episode = simulation.run()
     outcome = outcome_of(episode, people, cell)
     assert outcome.result == "done"

@@ -65,7 +65,7 @@ def test_every_publication_is_drawn_or_counted(view: LiveView, predictor: Predic
     settled(view, 29)
     assert view.counters.published >= 1
     assert view.counters.failure is None
-    assert "<b>0</b> · camera" in view._stage._words.content
+    assert "<b>0</b> · camera" in view.words.content
 
 
 def test_what_is_not_known_and_more_people_than_are_drawn_are_no_trouble(
@@ -76,8 +76,8 @@ def test_what_is_not_known_and_more_people_than_are_drawn_are_no_trouble(
         view.publish(publication(predictor, number + 2, person=f"<b>{number}</b>"))
     settled(view, 3 * MOST_SHOWN + 1)
     assert "could not be drawn" not in caplog.text
-    assert "<b><b>" not in view._stage._words.content
-    assert "&lt;b&gt;" in view._stage._words.content
+    assert "<b><b>" not in view.words.content
+    assert "&lt;b&gt;" in view.words.content
     assert len(view._shown) <= MOST_SHOWN
 
 
@@ -86,14 +86,14 @@ def test_who_is_seen_no_more_is_drawn_no_more(view: LiveView, predictor: Predict
     settled(view, 1)
     view._refresh({}, time.monotonic() + 10.0)
     assert view._shown == {}
-    assert "Nobody" in view._stage._words.content
+    assert "Nobody" in view.words.content
 
 
 def test_what_cannot_be_drawn_is_counted_and_the_next_is_drawn(
     view: LiveView, predictor: Predictor, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with monkeypatch.context() as broken:
-        broken.setattr(view._stage, "_aim", None)
+        broken.setattr(view, "_aim", None)
         view.publish(publication(predictor, 1))
         settled(view, 1)
     assert (view.counters.published, view.counters.dropped, view.counters.failure) == (0, 1, None)
@@ -110,10 +110,10 @@ def test_a_cameras_picture_is_shown_beside_with_what_is_predicted(view: LiveView
     view.publish(publication(predictor, 1))
     settled(view, 1)
     end = time.monotonic() + 240.0
-    while "camera" not in view._stage._pictures and time.monotonic() < end:
+    while "camera" not in view.images and time.monotonic() < end:
         view.take(Picture("camera", 1.0, grey, camera, 30.0))
         time.sleep(0.01)
-    shown = view._stage._pictures["camera"].image
+    shown = view.images["camera"].image
     assert shown.shape == grey.shape
     assert (shown[60:] != 128).any()
     assert view.counters.failure is None

@@ -1,10 +1,10 @@
-"""The colours of the browser view."""
+"""Colours of cubes and states, in pictures and in the browser."""
 
 from __future__ import annotations
 
 from kinecast.types import RobotState
 
-__all__ = ["CUBE_COLOURS", "INK", "MUTED", "STATES", "Colour", "cube_colour", "hex_of"]
+__all__ = ["CUBE_COLOURS", "INK", "MUTED", "SHIRT", "SKIN", "SKIN_PARTS", "STATES", "Colour", "cube_colour", "hex_of"]
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0..255."""
@@ -13,18 +13,22 @@ INK: Colour = (27, 31, 36)
 MUTED: Colour = (110, 118, 127)
 CUBE_COLOURS: dict[str, Colour] = {"red": (212, 54, 44), "green": (42, 157, 75), "blue": (37, 102, 200)}
 """Of cubes, their places and the path to each."""
+SKIN: Colour = (224, 176, 140)
+SHIRT: Colour = (132, 150, 172)
+SKIN_PARTS = (False, True, True, False, True, True, False, False, True)
+"""Of kinecast.robot.body.body_capsules: forearms, hands and head; the others are shirt."""
 
 STATES: dict[RobotState, Colour] = {
     RobotState.MOVING: (31, 122, 77),
-    RobotState.GRASPING: (31, 122, 77),
-    RobotState.PLACING: (31, 122, 77),
-    RobotState.DONE: (31, 122, 77),
-    RobotState.SLOWED: (181, 110, 0),
-    RobotState.WAITING: (181, 110, 0),
+    RobotState.GRASPING: (32, 140, 150),
+    RobotState.PLACING: (110, 150, 45),
+    RobotState.SLOWED: (205, 135, 10),
     RobotState.REPLANNING: (126, 80, 178),
+    RobotState.WAITING: (140, 98, 50),
     RobotState.STOPPED: (190, 38, 38),
+    RobotState.DONE: (110, 118, 127),
 }
-"""Green goes on, amber is held back, violet changes its mind, red is stopped; the word stands beside each."""
+"""Shades of green go on, of amber are held back, violet changes its mind, red is stopped; the word stands beside."""
 
 
 def cube_colour(name: str | None) -> Colour:

@@ -1,0 +1,153 @@
+"""Pictures of episodes: five moments of each, like the paper's figure; a GIF; and everything over time."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from kinecast.errors import MissingExtraError
+from kinecast.evaluation.pictures import write_gif
+from kinecast.evaluation.plots import INK, MUTED, RED, STYLE, save_figure
+from kinecast.robot.cell import Cell
+from kinecast.robot.cell_picture import REGION, REGION_EDGE, draw_cell
+from kinecast.robot.colours import CUBE_COLOURS, STATES, hex_of
+from kinecast.robot.episode import Episode, SceneSnapshot
+from kinecast.robot.ur5 import UR5
+from kinecast.types import Decision, RobotState
+
+try:
+    import matplotlib as mpl
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+except ImportError as error:
+    raise MissingExtraError("drawing", "train") from error
+
+__all__ = ["animate_episode", "draw_storyboard", "draw_timeline", "key_moments"]
+
+MOMENTS = 5
+RATE = 6.0
+"""Pictures per second of a GIF."""
+FARTHEST = 1.0
+"""Distances are drawn up to here [m]."""
+
+
+def key_moments(episode: Episode) -> list[SceneSnapshot]:
+    """Five scenes: before the first reaction, at it, on the way, and when the next cube is grasped.
+
+    Without a reaction they are evenly apart.
+    """
+    stamps = np.array([scene.stamp for scene in episode.scenes])
+    reacted = _reaction(episode)
+    if reacted is None:
+        times = np.linspace(stamps[0], stamps[-1], MOMENTS)
+    else:
+        closings = (each.stamp for each in episode.decisions if each.stamp > reacted.stamp
+                    and each.state is RobotState.GRASPING and "Closing" in each.reason)  # fmt: skip
+        way = next(closings, stamps[-1]) - reacted.stamp
+        times = reacted.stamp + np.array([-0.45, 0.12, 0.3 * way, 0.6 * way, way + 0.1])
+    return [episode.scenes[int(np.abs(stamps - time).argmin())] for time in times]
+
+
+def _reaction(episode: Episode) -> Decision | None:
+    """The first decision that changed cube or path."""
+    return next((each for each in episode.decisions if each.reaction is not None), None)
+
+
+def draw_storyboard(path: Path, episodes: Mapping[str, Episode], cell: Cell) -> None:
+    """Draw episodes by their titles below one another, five moments each, as PNG."""
+    arm, high, foot = UR5(), 3.05, 0.45  # heights of a row and the legend [inches]
+    total = len(episodes) * high + foot
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(MOMENTS * high, total))
+        for row, (title, episode) in enumerate(episodes.items()):
+            top, reacted = 1.0 - row * high / total, _reaction(episode)
+            figure.text(0.008, top - 0.20 / total, title, fontsize=11.5, weight="bold", va="center")
+            for column, scene in enumerate(key_moments(episode)):
+                left, bottom = column / MOMENTS + 0.004, top - (high - 0.42) / total
+                axes = figure.add_axes((left, bottom, 1 / MOMENTS - 0.008, (high - 0.78) / total))
+                draw_cell(axes, arm, cell, scene)
+                said = reacted if reacted is not None and column == 1 else scene.decision
+                name = f"({row + 1}{'abcde'[column]}) {scene.stamp:.1f} s  "
+                caption = textwrap.fill(name + textwrap.shorten(said.reason, 92, placeholder=" …"), 50)
+                figure.text(left + 0.004, bottom - 0.05 / total, caption, fontsize=7.6, va="top")
+        handles = [Patch(fc=REGION, ec=REGION_EDGE, label="where the wrists are predicted, next 0.5 s")]
+        handles += [Patch(fc=hex_of(colour), label=f"arrow: on its way for {name}")
+                    for name, colour in CUBE_COLOURS.items()]  # fmt: skip
+        figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=9)
+    save_figure(figure, path)
+
+
+def animate_episode(path: Path, episode: Episode, cell: Cell, title: str) -> None:
+    """Play the moments around the first reaction as GIF, at their own speed."""
+    arm, moments = UR5(), key_moments(episode)
+    chosen: list[SceneSnapshot] = []
+    for scene in episode.scenes:
+        around = moments[0].stamp - 1.0 <= scene.stamp <= moments[-1].stamp + 0.8
+        if around and (not chosen or scene.stamp - chosen[-1].stamp >= 1.0 / RATE - 1e-6):
+            chosen.append(scene)
+
+    def figures() -> Iterator[Figure]:
+        for scene in chosen:
+            figure, decision = Figure(figsize=(6.2, 5.2), dpi=80, facecolor="white"), scene.decision
+            draw_cell(figure.add_axes((0.0, 0.14, 1.0, 0.78)), arm, cell, scene)
+            chance = "   ".join(f"{name} {100 * p:.0f} %" for name, p in decision.taken.items())
+            reason = textwrap.shorten(decision.reason, 92, placeholder=" …")
+            figure.text(0.02, 0.955, title, fontsize=11, weight="bold", va="center")
+            state = f"{scene.stamp:5.1f} s   {decision.state.name.lower()}"
+            figure.text(0.02, 0.115, state, fontsize=10, weight="bold")
+            figure.text(0.02, 0.062, reason, fontsize=9)
+            figure.text(0.02, 0.018, f"the person takes: {chance}", fontsize=8.5, color=MUTED)
+            yield figure
+
+    write_gif(path, figures(), [1.0 / RATE] * (len(chosen) - 1) + [1.5])
+
+
+def draw_timeline(path: Path, episode: Episode, title: str) -> None:
+    """Draw an episode over time as PNG: state, distance and what is asked of it, speed, what the person is after."""
+    ticks, scenes, states = episode.ticks, episode.scenes, list(STATES)
+    stamps = np.array([tick.stamp for tick in ticks])
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.5, 6.4))
+        shape = {"height_ratios": (0.35, 3, 1.4, 1.6), "hspace": 0.22, "left": 0.075, "right": 0.985, "top": 0.86,
+                 "bottom": 0.085}  # fmt: skip
+        band, near, pace, chance = rows = figure.subplots(4, sharex=True, gridspec_kw=shape)
+        band.imshow([[states.index(tick.state) for tick in ticks]], ListedColormap([hex_of(STATES[k]) for k in states]),
+                    aspect="auto", extent=(stamps[0], stamps[-1], 0, 1), vmin=0, vmax=len(states) - 1)  # fmt: skip
+        band.set_yticks([])
+        for name, colour, label in (
+            ("distance", INK, "distance arm to person"),
+            ("limit", RED, "S_p that monitoring asks for"),
+        ):
+            metres = np.minimum([getattr(tick, name) for tick in ticks], FARTHEST)
+            near.plot(stamps, metres, color=colour, lw=1.4, label=label)
+        near.set_ylim(-0.02, FARTHEST + 0.02)
+        near.set_ylabel("metres")
+        near.legend(loc="upper right", frameon=False, fontsize=8.5, ncols=2)
+        pace.fill_between(stamps, [tick.speed for tick in ticks], color=hex_of(STATES[RobotState.MOVING]), lw=0,
+                          alpha=0.5, step="post")  # fmt: skip
+        pace.set_ylim(0, 1.05)
+        pace.set_ylabel("speed share")
+        for name, rgb in CUBE_COLOURS.items():
+            values = [scene.decision.taken.get(name, 0.0) for scene in scenes]
+            chance.plot([scene.stamp for scene in scenes], values, color=hex_of(rgb), lw=1.5)
+        chance.set_ylim(-0.03, 1.05)
+        chance.set_ylabel("P(person\ntakes it)")
+        chance.set_xlabel("seconds")
+        chance.set_xlim(stamps[0], stamps[-1])
+        for decision in episode.decisions:
+            if decision.reaction is not None:
+                for axes in rows[1:]:
+                    axes.axvline(decision.stamp, color=MUTED, lw=1.0, ls=(0, (3, 2)))
+                what = decision.reaction.name.replace("_", " ").lower()
+                near.text(decision.stamp + 0.05, 0.86 * FARTHEST, what, fontsize=8)
+        figure.legend(
+            handles=[Patch(fc=hex_of(colour), label=state.name.lower()) for state, colour in STATES.items()],
+            loc="upper left", bbox_to_anchor=(0.065, 0.945), ncols=8, frameon=False, fontsize=8.5, handlelength=1.1,
+            columnspacing=1.2,
+        )  # fmt: skip
+        figure.text(0.02, 0.965, title, fontsize=12, weight="bold", va="center")
+    save_figure(figure, path)
