@@ -14,7 +14,7 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from kinecast.body.skeleton import MEDIAPIPE_33
 from kinecast.cameras.keypoints import overlaps
@@ -51,10 +51,6 @@ class Landmarks:
             [JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("shoulder", "hip")]
         ]
         return np.concatenate([trunk.min(axis=0) - 1, trunk.max(axis=0) + 1])
-
-    def seen(self, least: float) -> Bool[np.ndarray, " 33"]:
-        """(33,) True where the confidence is enough."""
-        return self.confidence >= least
 
 
 def _blank() -> Image:

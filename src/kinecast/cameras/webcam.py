@@ -213,7 +213,7 @@ class WebcamSource:
 
     def _detection(self, stamp: float, name: str, person: Landmarks) -> Detection:
         """For the fusion: pixels, and no depth."""
-        seen = person.seen(self._options.confidence)
+        seen = person.confidence >= self._options.confidence
         pixels = np.where(seen[:, None], person.pixels, np.nan)
         nothing = np.full(len(JOINTS), np.nan)
         std = keypoint_std(JOINTS, person.pixels, seen)
