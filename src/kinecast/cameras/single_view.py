@@ -5,10 +5,10 @@ straight at them: it is turned towards the ray of the hips first. Where it stand
 of Σ ‖π(X + t) − d‖² / σ² over directions d = x/z, y/z (perspective-n-point with a known turn), solved as Hartley and
 Sturm's linear rows (Triangulation, 1997), weighted anew with each depth and with Huber's weights.
 
-Across the ray a joint is where its pixel is. Along the ray it is where the shape stands, times the body's scale: stated
-height over the height of the shape's bones, or the camera's height over how far below it the feet are. An error of scale
-or focal length moves the whole person along the ray and stays; it is in `covariance`, not in `std`, which says how unsure
-joints are of each other and is what widens a prediction.
+Across the ray a joint is where its pixel is. Along the ray it is where the shape stands, times the body's scale: the
+stated height over the height of the shape's bones, or the camera's height over how far below it the feet are. An error
+of scale or focal length moves the whole person along the ray and stays; it is in `covariance`, not in `std`, which says
+how unsure joints are of each other and is what widens a prediction.
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ def segment_distance(row: np.ndarray, start: Point, end: Point) -> float:
 def _nearest(
     rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
 ) -> None:
-    """`half` (T, O, 3) are half widths of upright boxes around the obstacles, inf of half-spaces: most limbs are farther."""
+    """`half` (T, O, 3) are half widths of upright boxes around obstacles, of half-spaces inf: most limbs are off."""
     for s in range(out.shape[0]):
         for t in range(out.shape[1]):
             for k in range(out.shape[2]):

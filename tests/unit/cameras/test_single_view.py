@@ -1,4 +1,4 @@
-"""A person before one camera: where a shape stands so that it is seen where it is, how large, how unsure, without lag."""
+"""A person before one camera: where a shape stands so that it is seen there, how large, how unsure, no lag."""
 
 from __future__ import annotations
 
