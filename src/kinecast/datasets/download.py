@@ -10,13 +10,12 @@ import shutil
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from http.client import HTTPException
-from importlib.resources import files
+from importlib import resources
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote, urlsplit
 
 from rich.progress import Progress
@@ -65,16 +64,12 @@ class PublicSet:
 
 def public_sets() -> dict[str, PublicSet]:
     """The sets `download` knows, by name."""
-
-    def remote(name: str, facts: Mapping[str, Any]) -> RemoteFile:
-        return RemoteFile(name, f"sha256:{facts['sha256']}", facts["bytes"])
-
     sets = {}
-    table = json.loads((files("kinecast") / "data" / "downloads.json").read_text(encoding="utf-8"))
+    table = json.loads((resources.files("kinecast") / "data" / "downloads.json").read_text(encoding="utf-8"))
     for name, entry in table.items():
-        listed, model = entry.pop("files"), entry.pop("model", None)
-        known = None if listed is None else tuple(remote(*each) for each in listed.items())
-        sets[name] = PublicSet(name, **entry, files=known, model=model and remote(model["name"], model))
+        files, model = entry.pop("files"), entry.pop("model", None)
+        listed = files and tuple(RemoteFile(**file) for file in files)
+        sets[name] = PublicSet(name, **entry, files=listed, model=model and RemoteFile(**model))
     return sets
 
 

@@ -116,10 +116,9 @@ class Description:
 def describe(recording: Recording) -> Description:
     """What a recording is beside its frames."""
     r = recording
-    source = None if r.source is None else str(r.source)
     return Description(
-        r.name, r.person, list(r.joints), r.rate, source, r.format, r.subject, r.task, list(r.notes),
-        labelled=r.labels is not None,
+        r.name, r.person, list(r.joints), r.rate, str(r.source) if r.source else None, r.format, r.subject,
+        r.task, list(r.notes), labelled=r.labels is not None,
     )  # fmt: skip
 
 
