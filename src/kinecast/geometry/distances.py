@@ -171,7 +171,7 @@ def point_distance(row: np.ndarray, p: Point) -> tuple[float, Point]:
 def _nearest(
     rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
 ) -> None:
-    """`half` (T, O, 3) are half widths of upright boxes around the obstacles: most limbs lie beyond them."""
+    """`half` (T, O, 3) are half widths of upright boxes around obstacles, of half-spaces inf: most limbs are off."""
     for s in range(out.shape[0]):
         for t in range(out.shape[1]):
             for k in range(out.shape[2]):
@@ -181,20 +181,14 @@ def _nearest(
                 nearest = math.nan if math.isnan(ax + ay + az + bx + by + bz) else most
                 for o in range(rows.shape[1]):
                     cx, cy, cz = rows[t, o, 1], rows[t, o, 2], rows[t, o, 3]
-                    if rows[t, o, 0] == HALF_SPACE:
-                        nx, ny, nz = rows[t, o, 4], rows[t, o, 5], rows[t, o, 6]
-                        distance = nx * (ax - cx) + ny * (ay - cy) + nz * (az - cz)
-                        other = nx * (bx - cx) + ny * (by - cy) + nz * (bz - cz)
-                        distance = other if other < distance else distance
-                    else:
-                        x, y, z = half[t, o, 0] + nearest, half[t, o, 1] + nearest, half[t, o, 2] + nearest
-                        if (
-                            (ax - cx > x and bx - cx > x) or (cx - ax > x and cx - bx > x)
-                            or (ay - cy > y and by - cy > y) or (cy - ay > y and cy - by > y)
-                            or (az - cz > z and bz - cz > z) or (cz - az > z and cz - bz > z)
-                        ):  # fmt: skip
-                            continue
-                        distance = segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz))
+                    x, y, z = half[t, o, 0] + nearest, half[t, o, 1] + nearest, half[t, o, 2] + nearest
+                    if (
+                        (ax - cx > x and bx - cx > x) or (cx - ax > x and cx - bx > x)
+                        or (ay - cy > y and by - cy > y) or (cy - ay > y and cy - by > y)
+                        or (az - cz > z and bz - cz > z) or (cz - az > z and cz - bz > z)
+                    ):  # fmt: skip
+                        continue
+                    distance = segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz))
                     if distance < nearest:
                         nearest = distance
                 out[s, t, k] = nearest

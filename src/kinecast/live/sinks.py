@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from pathlib import Path
-from typing import IO, Protocol, runtime_checkable
+from typing import IO, Generic, Protocol, TypeVar, runtime_checkable
 
 from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.exceptions import ConnectionClosed
@@ -22,7 +22,9 @@ MOST_UNSENT = 256 * 1024
 LARGEST_REQUEST = 1024
 """Clients have nothing to say here; what they say is passed over."""
 LOOK = 0.1
-"""Longest wait for a publication before looking whether to end [s]."""
+"""Longest wait for something to write before looking whether to end [s]."""
+
+Item = TypeVar("Item")
 
 
 @runtime_checkable
@@ -37,36 +39,33 @@ class Sink(Protocol):
     def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
-class FileSink:
-    """A file that is written in a thread of its own; one that is at the path is replaced, or an OSError raised."""
+class Writing(Generic[Item]):
+    """Writes what it is given in a thread of its own; what comes while too much waits is dropped and counted."""
 
-    def __init__(self, path: Path) -> None:
-        self.address = str(path)
-        self.counters = SinkCounters(self.address, "written", OSError)
-        self.file: IO[bytes] = path.open("wb")
-        self._waiting: queue.Queue[Publication] = queue.Queue(MOST_WAITING)
+    def __init__(self, address: str, most_waiting: int = MOST_WAITING) -> None:
+        self.address = address
+        self.counters = SinkCounters(address, "written", OSError)
+        self._waiting: queue.Queue[tuple[float, Item]] = queue.Queue(most_waiting)
         self._closing = threading.Event()
-        self.begin()
-        self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=address, daemon=True)
         self._thread.start()
 
-    def begin(self) -> None:
-        """Writes what comes first."""
-
-    def write(self, publication: Publication) -> None:
+    def write(self, item: Item) -> None:
         """Writes one."""
         raise NotImplementedError
 
     def finish(self) -> None:
         """Writes what comes last."""
 
-    def publish(self, publication: Publication) -> None:
+    def put(self, item: Item, acquired: float) -> None:
+        """Takes one that was acquired at a time [s] on `time.monotonic`; never waits."""
         try:
-            self._waiting.put_nowait(publication)
+            self._waiting.put_nowait((acquired, item))
         except queue.Full:
             self.counters.drop()
 
     def close(self) -> None:
+        """See Sink."""
         self._closing.set()
         self._thread.join(CLOSING)
         if self._thread.is_alive():
@@ -76,14 +75,32 @@ class FileSink:
     def _run(self) -> None:
         while not (self._closing.is_set() and self._waiting.empty()):
             try:
-                publication = self._waiting.get(timeout=LOOK)
+                acquired, item = self._waiting.get(timeout=LOOK)
             except queue.Empty:
                 continue
-            if self.counters.attempt(self.write, publication):
-                self.counters.sent(time.monotonic() - publication.acquired)
+            if self.counters.attempt(self.write, item):
+                self.counters.sent(time.monotonic() - acquired)
             else:
                 self.counters.drop()
         self.counters.attempt(self.finish)
+
+
+class FileSink(Writing[Publication]):
+    """A file of publications; one that is at the path is replaced, or an OSError raised."""
+
+    def __init__(self, path: Path) -> None:
+        self.file: IO[bytes] = path.open("wb")
+        self.begin()
+        super().__init__(str(path))
+
+    def begin(self) -> None:
+        """Writes what comes first."""
+
+    def publish(self, publication: Publication) -> None:
+        self.put(publication, publication.acquired)
+
+    def _run(self) -> None:
+        super()._run()
         try:
             self.file.close()
         except OSError as error:
