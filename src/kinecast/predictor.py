@@ -21,10 +21,8 @@ from kinecast.types import Density, Prediction, SkeletonFrame, Status
 
 __all__ = ["Predictor", "PredictorOptions"]
 
-UNFAMILIAR_SHARE = 0.1
-"""Weight of the learned experts below which the status says that they have given way."""
-AT_REST = 0.1
-"""Whose joints all move slower than this [m/s] is best predicted to stay, and that is nothing unfamiliar."""
+UNFAMILIAR_SHARE = 0.1  # weight of the learned experts below which the status says that they have given way
+AT_REST = 0.1  # whose joints all move slower than this [m/s] is best predicted to stay, and that is nothing unfamiliar
 HAND_SPEED = 2.0
 """Fastest approach of a hand [m/s] (ISO 13855:2010, clause 5): bounds what is said before anything is known."""
 

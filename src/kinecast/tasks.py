@@ -34,10 +34,8 @@ from kinecast.errors import ClusterError, MissingExtraError, OptionError
 
 CARRIED: set[ModuleType] = set()
 """Modules of the user's own, whose code travels with tasks: workers elsewhere may not have them."""
-PATIENCE = 60
-"""How long the first worker may take to come, and how long there may be none [s]."""
-MATTERING = ("numpy", "scipy", "numba", "jax", "jaxlib")
-"""Packages whose version may change the last bits of results."""
+PATIENCE = 60  # how long the first worker may take to come, and how long there may be none [s]
+MATTERING = ("numpy", "scipy", "numba", "jax", "jaxlib")  # packages whose version may change the last bits of results
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 SETTINGS = {
     # One thread, since there are as many workers as cores. This replaces Dask's own environment of a worker, which

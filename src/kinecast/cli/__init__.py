@@ -12,8 +12,7 @@ from contextlib import suppress
 
 __all__ = ["main"]
 
-INTERRUPTED = 130
-"""As a shell reports a program ended by Ctrl-C."""
+INTERRUPTED = 130  # as a shell reports a program ended by Ctrl-C
 PATIENCE, TIMES = 2.0, 2
 """While the command goes on, Ctrl-C comes again after so long [s], so many times; then the process ends at once."""
 

@@ -21,8 +21,7 @@ from kinecast.ros.subscriber import TF_TYPE, InputOptions, SkeletonSubscriber, i
 from kinecast.ros.transport import RosSink, RosSource, Transport
 from kinecast.types import SkeletonFrame
 
-ROOM = 8
-"""Publications that wait for a network."""
+ROOM = 8  # publications that wait for a network
 
 
 def subscriber(source: Endpoint) -> SkeletonSubscriber:

@@ -29,14 +29,10 @@ if TYPE_CHECKING:
     from kinecast.robot.ur_driver import UrDriver
     from kinecast.types import Prediction, SkeletonFrame
 
-WATCHED = 2.0
-"""The controller's clock is watched for so long [s]."""
-NEAR, TURNED = 0.01, 0.035
-"""Apart so far, in metres and radians, two poses of the tool are one."""
-MARGIN = 0.1
-"""From the end of a joint's range that an arm should keep [rad]."""
-STEP = 0.008
-"""Of the supervisor's control [s]; a faster controller is led there in a straight line."""
+WATCHED = 2.0  # the controller's clock is watched for so long [s]
+NEAR, TURNED = 0.01, 0.035  # apart so far, in metres and radians, two poses of the tool are one
+MARGIN = 0.1  # from the end of a joint's range that an arm should keep [rad]
+STEP = 0.008  # of the supervisor's control [s]; a faster controller is led there in a straight line
 
 DriverName = Annotated[str, arg(name="driver", metavar="ur:HOST", help="the arm; ur:HOST:PORT where it is not 30004.")]
 SourceName = Annotated[

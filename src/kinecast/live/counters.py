@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 import numpy as np
 
-BIN = 0.5e-3
-"""Width of a bin of latencies [s]: how exactly a percentile is known."""
-BINS = 4000
-"""The last one holds all that took longer."""
+from kinecast.live.publication import Publication
+
+BIN = 0.5e-3  # width of a bin of latencies [s]: how exactly a percentile is known
+BINS = 4000  # the last one holds all that took longer
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +50,13 @@ class SinkCounters:
         else:
             return True
         return False
+
+    def deliver(self, action: Callable[[Publication], object], publication: Publication) -> None:
+        """Calls it with a publication, and counts that as sent or dropped."""
+        if self.attempt(action, publication):
+            self.sent(time.monotonic() - publication.acquired)
+        else:
+            self.drop()
 
     def fail(self, error: Exception) -> None:
         """Nothing more is tried."""

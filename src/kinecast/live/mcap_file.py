@@ -26,12 +26,10 @@ from kinecast.live.message_file import labelled_frames, message, recordings_of
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import FileSink
 
-PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"
-"""Topics."""
+PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"  # topics
 _SCHEMAS = {PREDICTIONS: "kinecast.Prediction", SKELETONS: "kinecast.Skeleton", SCENE: "foxglove.SceneUpdate"}
 METADATA, RECORDINGS = "kinecast", "recordings"
-LATEST = 2**63 - 1
-"""Latest time that a reader in another language can hold [ns]."""
+LATEST = 2**63 - 1  # latest time that a reader in another language can hold [ns]
 
 
 def schema(name: str) -> dict[str, Any]:
@@ -66,7 +64,8 @@ class _JsonWriter:
 class McapSink(FileSink):
     """Writes predictions; a log time is when the frame was acquired, a publish time when the message was written."""
 
-    def begin(self) -> None:
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
         self._unix_less_monotonic = time.time() - time.monotonic()
         self._writer = _JsonWriter(self.file, PREDICTIONS)
 
@@ -76,7 +75,10 @@ class McapSink(FileSink):
         self._writer.add(publication.json, drawing, int(acquired * 1e9), time.time_ns(), publication.number)
 
     def finish(self) -> None:
-        self._writer.finish()
+        try:
+            self._writer.finish()
+        finally:
+            super().finish()
 
 
 def write(path: Path, recordings: Sequence[Recording]) -> None:

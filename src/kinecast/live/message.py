@@ -13,17 +13,13 @@ from kinecast.errors import DatasetError
 from kinecast.live.detection import Detection
 from kinecast.types import SkeletonFrame
 
-LARGEST_MESSAGE = 65_536
-"""Bytes of one message; 33 joints as JSON take about 3000."""
+LARGEST_MESSAGE = 65_536  # bytes of one message; 33 joints as JSON take about 3000
 MOST_JOINTS = 128
-LONGEST_NAME = 64
-"""Characters of a joint's, person's or coordinate frame's name."""
-LONGEST_QUOTE = 200
-"""Characters of what a message is quoted with in the log."""
+LONGEST_NAME = 64  # characters of a joint's, person's or coordinate frame's name
+LONGEST_QUOTE = 200  # characters of what a message is quoted with in the log
 LATEST_STAMP = 1e11
 """Largest believable stamp [s]: Unix time in seconds is 1.8e9, in milliseconds 1.8e12, in nanoseconds 1.8e18."""
-FARTHEST = 10_000.0
-"""Largest believable coordinate [m], as in recordings."""
+FARTHEST = 10_000.0  # largest believable coordinate [m], as in recordings
 
 
 class MessageError(ValueError):

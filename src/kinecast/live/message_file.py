@@ -23,8 +23,7 @@ from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, p
 from kinecast.pipeline import frames
 from kinecast.types import SkeletonFrame
 
-LONGEST_LINE = 1 << 20
-"""Bytes of one message; a prediction of 300 steps has 400,000."""
+LONGEST_LINE = 1 << 20  # bytes of one message; a prediction of 300 steps has 400,000
 ROUNDED = "arms as `kinecast live` saw them, to 0.1 mm"
 
 

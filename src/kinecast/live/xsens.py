@@ -22,13 +22,10 @@ from kinecast.live.sender_guard import FORGET, MOST_PERSONS, SenderGuard
 from kinecast.live.settings import choice
 from kinecast.types import SkeletonFrame
 
-DEFAULT_PORT = 9763
-"""MVN sends to this one unless told otherwise (2.3)."""
-BODY = 23
-"""Segments with the ids 1 to 23 are the body (3.1); what follows are props and fingers."""
+DEFAULT_PORT = 9763  # MVN sends to this one unless told otherwise (2.3)
+BODY = 23  # segments with the ids 1 to 23 are the body (3.1); what follows are props and fingers
 MOST_CHARACTERS = 256
-MOST_PENDING = 3
-"""Samples of a character that wait for their other datagrams."""
+MOST_PENDING = 3  # samples of a character that wait for their other datagrams
 REORDERED = 64
 """A sample at most so far behind the newest was overtaken on its way; one farther behind is of a new beginning."""
 CENTIMETRES = 3.0

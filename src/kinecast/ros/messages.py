@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
@@ -23,7 +22,6 @@ from kinecast.live.message import MessageError
 
 LARGEST = 1 << 20  # bytes of a message that is read; a ZED camera's has 2 kB a person
 LONGEST = 10_000  # elements of a sequence that is read
-Fields = dict[str, Any]  # values of a message by name; see `Messages.encode`
 
 _HERE = Path(__file__).parent
 _CLOCKS = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
@@ -111,16 +109,6 @@ class Messages:
 
 
 messages_of = cache(Messages)  # read once
-
-
-def points(positions: Float[np.ndarray, "N 3"]) -> list[Fields]:
-    """Fields of a geometry_msgs/Point each [m]."""
-    return [{"x": x, "y": y, "z": z} for x, y, z in positions.tolist()]
-
-
-def upright(position: Fields) -> Fields:
-    """Fields of a geometry_msgs/Pose that is not turned."""
-    return {"position": position, "orientation": {"w": 1.0}}
 
 
 def _clock(seconds: float) -> dict[str, int]:
