@@ -181,7 +181,7 @@ class People:
     """
 
     def __init__(self, source: str, T_world_base: np.ndarray, model: ModelFile, options: PredictorOptions) -> None:
-        from kinecast.cli.live_opening import open_source, read_source
+        from kinecast.cli.endpoint import open_source, read_source
         from kinecast.live.mailbox import Mailbox
         from kinecast.live.network import Network
 
@@ -191,7 +191,7 @@ class People:
         self._closing = ExitStack()
         with ExitStack() as closing_:
             network = closing_.enter_context(closing(Network()))
-            opened = closing_.enter_context(closing(open_source(read_source(source), self._mailbox, network, None)))
+            opened = closing_.enter_context(closing(open_source(read_source(source), self._mailbox, network)))
             opened.start()
             thread = threading.Thread(target=self._watch, name=source, daemon=True)
             thread.start()
