@@ -16,8 +16,6 @@ from kinecast.body.tracking import Trouble, repair_window
 from kinecast.prediction.observation import Observation
 from kinecast.types import SkeletonFrame, Status
 
-__all__ = ["Track", "arms_of"]
-
 MOST_FRAMES = 512  # frames kept of one person: bounded memory whatever the camera's rate
 LONGEST_GAP = 0.3  # after a longer silence [s] a person's history starts anew
 BACKWARDS = 1.0  # a stamp older than the newest by more than this [s] is a new clock, not a late frame

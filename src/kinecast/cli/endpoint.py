@@ -138,7 +138,7 @@ def _endpoint(text: str, kinds: Mapping[str, str], wrong: str) -> Endpoint:
 
 @contextmanager
 def opened(
-    inputs: Sequence[Endpoint], outputs: Sequence[Endpoint], rig: Rig | None, scene: Scene | None
+    inputs: Sequence[Endpoint], outputs: Sequence[Endpoint], rig: Rig | None = None, scene: Scene | None = None
 ) -> Iterator[tuple[Mailbox, list[Source], list[Sink]]]:
     """Sources with their mailbox, and sinks; at the end sources are closed first, then sinks, then their network."""
     mailbox = Mailbox()
