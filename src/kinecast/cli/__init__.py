@@ -38,8 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             hook(problem)
 
     hook = sys.unraisablehook
-    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler and hasattr(signal, "pthread_kill")
-    ours = ours and threading.current_thread() is threading.main_thread()
+    ours = threading.current_thread() is threading.main_thread()
+    ours = ours and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     try:
         try:
             if ours:

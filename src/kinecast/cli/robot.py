@@ -77,12 +77,7 @@ def robot(
     if not np.isfinite(base).all():
         raise OptionError(f"--base {' '.join(map(str, base))}: must be finite")
     arm = UR5()
-    checks = check_arm(arm, host, port)
-    for check in checks:
-        print(f"{'ok ' if check.passed else 'NOT'}  {check.name:8}  {check.text}")
-    failed = [check.name for check in checks if not check.passed]
-    if failed:
-        raise ArmError(f"{driver}: the arm may not move: {', '.join(failed)}")
+    check_arm(arm, host, port)
     if dry_run:
         print("nothing was written, nothing has moved")
         return
@@ -123,8 +118,11 @@ class Check(NamedTuple):
     text: str
 
 
-def check_arm(arm: UR5, host: str, port: int) -> list[Check]:
-    """Looks at an arm for two seconds without writing anything to it; ArmError where it cannot be reached."""
+def check_arm(arm: UR5, host: str, port: int) -> None:
+    """Looks at an arm for two seconds without writing anything to it, and says what is in order.
+
+    An ArmError where it cannot be reached, or may not move.
+    """
     from kinecast.robot.rtde import Rtde
     from kinecast.robot.ur_driver import trouble
 
@@ -143,7 +141,7 @@ def check_arm(arm: UR5, host: str, port: int) -> list[Check]:
     version = ".".join(map(str, rtde.version[:3]))
     kind = "CB3" if rtde.rate < 200 else "e-Series"
     problem = trouble(last)
-    return [
+    checks = [
         Check("software", True, f"{version} ({kind}), {rtde.rate:g} cycles a second"),
         _clock(readings, arrivals, rtde.rate),
         Check("state", problem is None, "kinecast_ur.script waits" if problem is None else problem.value),
@@ -151,6 +149,10 @@ def check_arm(arm: UR5, host: str, port: int) -> list[Check]:
         _limits(arm, last),
         _tool(arm, last),
     ]
+    for check in checks:
+        print(f"{'ok ' if check.passed else 'NOT'}  {check.name:8}  {check.text}")
+    if failed := [check.name for check in checks if not check.passed]:
+        raise ArmError(f"ur:{host}:{port}: the arm may not move: {', '.join(failed)}")
 
 
 def _clock(readings: list[Reading], arrivals: list[float], rate: float) -> Check:
