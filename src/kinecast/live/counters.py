@@ -9,8 +9,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kinecast.live.publication import Publication
-
 BIN = 0.5e-3  # width of a bin of latencies [s]: how exactly a percentile is known
 BINS = 4000  # the last one holds all that took longer
 
@@ -51,10 +49,10 @@ class SinkCounters:
             return True
         return False
 
-    def deliver(self, action: Callable[[Publication], object], publication: Publication) -> None:
-        """Calls it with a publication, and counts that as sent or dropped."""
-        if self.attempt(action, publication):
-            self.sent(time.monotonic() - publication.acquired)
+    def deliver(self, action: Callable[..., object], item: object, acquired: float) -> None:
+        """Calls it with what was acquired then [s], and counts that as sent or dropped."""
+        if self.attempt(action, item):
+            self.sent(time.monotonic() - acquired)
         else:
             self.drop()
 

@@ -75,10 +75,7 @@ class McapSink(FileSink):
         self._writer.add(publication.json, drawing, int(acquired * 1e9), time.time_ns(), publication.number)
 
     def finish(self) -> None:
-        try:
-            self._writer.finish()
-        finally:
-            super().finish()
+        self._writer.finish()
 
 
 def write(path: Path, recordings: Sequence[Recording]) -> None:

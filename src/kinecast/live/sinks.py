@@ -7,7 +7,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Protocol, runtime_checkable
+from typing import IO, Generic, Protocol, TypeVar, runtime_checkable
 
 from websockets.asyncio.server import broadcast
 
@@ -19,6 +19,8 @@ MOST_WAITING = 100  # publications that wait for a disc; of more the oldest are 
 MOST_UNSENT = 256 * 1024  # bytes that may wait for one client; while there are more, it misses what is published
 LARGEST_REQUEST = 1024  # clients have nothing to say here; what they say is passed over
 LOOK = 0.05  # longest wait for a publication before looking whether to end, or whether something has expired [s]
+
+Item = TypeVar("Item")
 
 
 @runtime_checkable
@@ -33,21 +35,21 @@ class Sink(Protocol):
     def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
-class QueuedSink:
-    """Writes in a thread of its own; of more publications than there is `room` for, the oldest that wait are dropped.
+class Writing(Generic[Item]):
+    """Writes what it is given in a thread of its own; of more than there is room for, the oldest that waits is dropped.
 
-    What `write`, `expire` (at least every `LOOK` seconds) and `finish` (once, whatever happened) raise is counted.
+    What `write`, `expire` (at least every `LOOK` seconds) and `finish` raise is counted.
     """
 
-    def __init__(self, address: str, verb: str, room: int) -> None:
+    def __init__(self, address: str, most_waiting: int = MOST_WAITING, verb: str = "written") -> None:
         self.address, self.counters = address, SinkCounters(address, verb, OSError)
-        self._room = room
-        self._waiting: queue.Queue[Publication] = queue.Queue()
+        self._room = most_waiting
+        self._waiting: queue.Queue[tuple[Item, float]] = queue.Queue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=address, daemon=True)
         self._thread.start()
 
-    def write(self, publication: Publication) -> None:
+    def write(self, item: Item) -> None:
         """Writes or sends one."""
         raise NotImplementedError
 
@@ -55,15 +57,18 @@ class QueuedSink:
         """Takes back what holds no more."""
 
     def finish(self) -> None:
-        """Writes what comes last and closes what was opened."""
+        """Writes what comes last, unless an error has ended it."""
 
-    def publish(self, publication: Publication) -> None:
-        """See Sink."""
+    def release(self) -> None:
+        """Closes what was opened."""
+
+    def put(self, item: Item, acquired: float) -> None:
+        """Takes one that was acquired at a time [s] on `time.monotonic`; never waits."""
         if self._waiting.qsize() >= self._room:
             with suppress(queue.Empty):
                 self._waiting.get_nowait()
                 self.counters.drop()
-        self._waiting.put(publication)
+        self._waiting.put((item, acquired))
 
     def close(self) -> None:
         """See Sink."""
@@ -76,22 +81,27 @@ class QueuedSink:
     def _run(self) -> None:
         while not (self._closing.is_set() and self._waiting.empty()):
             with suppress(queue.Empty):
-                self.counters.deliver(self.write, self._waiting.get(timeout=LOOK))
+                self.counters.deliver(self.write, *self._waiting.get(timeout=LOOK))
             self.counters.attempt(self.expire)
+        self.counters.attempt(self.finish)
         try:
-            self.finish()
+            self.release()
         except Exception as error:
             self.counters.fail(error)
 
 
-class FileSink(QueuedSink):
-    """A file; one that is at the path is replaced, or an OSError raised."""
+class FileSink(Writing[Publication]):
+    """A file of publications; one that is at the path is replaced, or an OSError raised."""
 
     def __init__(self, path: Path) -> None:
         self.file: IO[bytes] = path.open("wb")
-        super().__init__(str(path), "written", MOST_WAITING)
+        super().__init__(str(path))
 
-    def finish(self) -> None:
+    def publish(self, publication: Publication) -> None:
+        """See Sink."""
+        self.put(publication, publication.acquired)
+
+    def release(self) -> None:
         self.file.close()
 
 

@@ -13,7 +13,7 @@ from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError
 from kinecast.live.publication import Publication
 from kinecast.live.sender_guard import SenderGuard
-from kinecast.live.sinks import QueuedSink
+from kinecast.live.sinks import Writing
 from kinecast.ros.messages import Messages
 from kinecast.ros.publisher import Posting, PredictionPublisher
 from kinecast.ros.subscriber import SkeletonSubscriber
@@ -93,7 +93,7 @@ class RosSource:
             self.feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
 
 
-class RosSink(QueuedSink):
+class RosSink(Writing[Publication]):
     """Predictions on topics; what was drawn or put into a scene is deleted once it expires. It closes its transport."""
 
     def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:
@@ -101,7 +101,11 @@ class RosSink(QueuedSink):
         for topic, type_ in publisher.topics.items():
             transport.messages.prepare(type_)
             transport.advertise(topic, type_)
-        super().__init__(address, "sent", room)
+        super().__init__(address, room, "sent")
+
+    def publish(self, publication: Publication) -> None:
+        """See kinecast.live.sinks.Sink."""
+        self.put(publication, publication.acquired)
 
     def write(self, publication: Publication) -> None:
         self._send(self._publisher.tell(publication, time.monotonic(), self._transport.now()))
@@ -110,11 +114,10 @@ class RosSink(QueuedSink):
         self._send(self._publisher.take_back(time.monotonic()))
 
     def finish(self) -> None:
-        try:
-            if self.counters.failure is None:
-                self._send(self._publisher.take_back(math.inf))
-        finally:
-            self._transport.close()
+        self._send(self._publisher.take_back(math.inf))
+
+    def release(self) -> None:
+        self._transport.close()
 
     def _send(self, postings: Iterator[Posting]) -> None:
         for topic, type_, fields in postings:
