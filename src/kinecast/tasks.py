@@ -25,7 +25,7 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -48,27 +48,6 @@ Progress = Callable[[int, int], None]
 """Called with (done, total) tasks."""
 
 
-@runtime_checkable
-class Workers(Protocol):
-    """Does tasks."""
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Takes a task on: a function of a module, or a partial of one. Returns what stands for its result."""
-
-    def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
-        """What tasks gave, once every task taken on is done.
-
-        Args:
-            handles: what `submit` returned.
-            progress: called with (done, total) tasks taken on since the last results.
-
-        Raises:
-            Exception: what the first task that failed raised.
-            ClusterError: the scheduler is gone, or no worker is left, or workers died again and again under a task.
-        """
-        ...
-
-
 class Serial:
     """Workers that are this process: each task in its turn."""
 
@@ -76,21 +55,33 @@ class Serial:
         self._waiting: list[tuple[Future[Any], tuple[Any, ...]]] = []
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """See Workers."""
+        """Takes a task on: a function of a module, or a partial of one. Returns what stands for its result."""
         task = Future[Any]()
         self._waiting.append((task, (function, *arguments)))
         return task
 
     def results(self, handles: Sequence[Future[Any]], progress: Progress | None = None) -> list[Any]:
-        """See Workers; a task's arguments are let go once it is done."""
+        """What tasks gave, once every task taken on is done and its arguments are let go.
+
+        Args:
+            handles: what `submit` returned.
+            progress: called with (done, total) tasks taken on since the last results.
+
+        Raises:
+            Exception: what the first task that failed raised.
+        """
         waiting, self._waiting = self._waiting[::-1], []
         total = len(waiting)
         while waiting:
             task, call = waiting.pop()
-            task.set_result(single_threaded(*_each(Future.result, Future, list(call))))
+            task.set_result(single_threaded(*_each(_result, Future, list(call))))
             if progress:
                 progress(total - len(waiting), total)
-        return [task.result() for task in handles]
+        return list(map(_result, handles))
+
+
+def _result(task: Future[Any]) -> Any:
+    return task.result(timeout=0)  # a task before it has failed where there is none
 
 
 def single_threaded(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -130,7 +121,7 @@ class Cluster:
         self._waiting: list[Any] = []
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """See Workers."""
+        """See Serial."""
         import cloudpickle
         import distributed
 
@@ -149,7 +140,7 @@ class Cluster:
         return self._waiting[-1]
 
     def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
-        """See Workers."""
+        """See Serial; a ClusterError where the scheduler is gone, no worker is left, or they die under a task."""
         from distributed import KilledWorker
 
         waiting, self._waiting = self._waiting, []
@@ -182,6 +173,9 @@ class Cluster:
                     yield future
             if rest and not self.client.scheduler_info(n_workers=-1)["workers"]:
                 raise ClusterError(f"no worker is left; {len(rest)} tasks are not done")
+
+
+Workers = Serial | Cluster
 
 
 class _Place(NamedTuple):
