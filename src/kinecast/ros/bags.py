@@ -26,7 +26,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 from kinecast.live.drawing import points, pose
 from kinecast.live.message import MessageError
-from kinecast.live.message_file import message, recordings_of
+from kinecast.live.message_file import Said, recordings_of
 from kinecast.pipeline import merged_frames
 from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
@@ -50,7 +50,7 @@ def load(path: Path) -> list[Recording]:
     once: dict[tuple[str, float], SkeletonFrame] = {}
     for frame in frames:
         once.setdefault((frame.person, frame.stamp), frame)
-    found = recordings_of(((str(path), message(frame, None)) for frame in once.values()), path, "bag")
+    found = recordings_of((Said(str(path), frame) for frame in once.values()), path, "bag")
     return [replace(each, rate=float(f"{each.rate:.6g}")) for each in found]  # not what nanoseconds make of it
 
 
