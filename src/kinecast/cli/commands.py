@@ -30,8 +30,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 BAD_INPUT = 2
-READER_GONE = 141
-"""As a shell reports a program whose output nobody reads any more."""
+READER_GONE = 141  # as a shell reports a program whose output nobody reads any more
 
 
 def run(arguments: Sequence[str]) -> None:

@@ -114,7 +114,11 @@ def load(path: Path) -> list[Recording]:
         DatasetError: the file is no table; or a row repeats, lacks its stamp, person or joint, or is of a
             person or joint the metadata does not name.
     """
-    rows = read_rows(path)
+    return recordings_of(read_rows(path), path)
+
+
+def recordings_of(rows: Rows, path: Path) -> list[Recording]:
+    """As `load`, of rows that were read from the path."""
     if rows.metadata is None or "recordings" not in rows.metadata:
         _require_complete(rows, path)
         return [_recording(rows, _inferred(rows, person, path), path) for person in rows.person.names]
