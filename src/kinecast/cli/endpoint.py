@@ -156,14 +156,8 @@ def open_source(
 ) -> Source:
     """Opens a source with a feed of its own in the mailbox; network sources listen at once.
 
-    Args:
-        source: which.
-        mailbox, network: for its frames, and that it runs in.
-        fused: takes what cameras of the rig see; None without a rig.
-        watchers: take a plain camera's pictures.
-
-    Raises:
-        OptionError, DatasetError, ModelError: it cannot be opened.
+    What cameras of a rig see is fused, and watchers take a plain camera's pictures. An OptionError, DatasetError or
+    ModelError where it cannot be opened.
     """
     text, kind, settings = source.text, source.kind, source.settings
     if kind in ("camera", "realsense"):
