@@ -38,7 +38,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str, default: int | None = None) -> Address:
-        """From `SCHEME://HOST:PORT`; no host is the loopback, no port the default if there is one; else an OptionError."""
+        """From `SCHEME://HOST:PORT`, else an OptionError; no host is the loopback, no port the default, if any."""
         try:
             parts = urlsplit(text)
             port = default if parts.port is None else parts.port
