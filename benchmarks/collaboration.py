@@ -43,8 +43,6 @@ from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 
 PREDICTORS = ("kinecast", "none", "zero_velocity", "damped_velocity", "oracle", "reachable")
-FIRST = 5
-"""So many predictors go through all episodes before the others begin."""
 
 Results = dict[str, dict[int, Outcome]]
 """What came of each seed, by predictor."""
@@ -88,7 +86,7 @@ def main() -> None:
     before = facts()
     seeds = range(arguments.first, arguments.first + arguments.episodes)
     wanted = [
-        (seed, name) for seed, name in order(seeds, arguments.predictors.split(","))
+        (seed, name) for seed in seeds for name in arguments.predictors.split(",")
         if seed not in results.setdefault(name, {})
     ]  # fmt: skip
     for seed, name, outcome, seconds in outcomes(wanted, settings, arguments.jobs):
@@ -104,14 +102,6 @@ def main() -> None:
     report(summary)
     if arguments.plot is not None:
         save_plot(results, arguments.plot)
-
-
-def order(seeds: Sequence[int], names: Sequence[str]) -> Iterator[tuple[int, str]]:
-    """Episodes of the first predictors, seed by seed, then those of the others."""
-    for some in (names[:FIRST], names[FIRST:]):
-        for seed in seeds:
-            for name in some:
-                yield seed, name
 
 
 def outcomes(

@@ -45,11 +45,6 @@ def test_it_goes_on_where_it_stopped_and_refuses_other_settings(
         run(monkeypatch, tmp_path, 2, limit=0.5)
 
 
-def test_the_first_predictors_go_first() -> None:
-    asked = list(collaboration.order([5, 6], ["a", "b", "c", "d", "e", "f"]))
-    assert asked == [*((seed, name) for seed in (5, 6) for name in "abcde"), (5, "f"), (6, "f")]
-
-
 def outcome(time_to_done: float, stops: int) -> Outcome:
     return Outcome("done", 0, 0, 0.1, 0.0, time_to_done, stops, 0.3 * stops, 1, 0, 5.0, 9.0, 10.0, 40.0, 6, 0.1, 0.9)
 

@@ -85,19 +85,13 @@ class Endpoint:
 
     text: str  # as written
     kind: str
-    place: str | Address  # a path, a camera's serial number, a topic or a namespace; or an address
+    place: str  # a path, a camera, a topic, a namespace, or //HOST:PORT
     settings: Mapping[str, str]
 
     @property
-    def path(self) -> Path:
-        """The place, where it is a file or folder."""
-        return Path(str(self.place))
-
-    @property
     def address(self) -> Address:
-        """The place, where that is an address."""
-        assert isinstance(self.place, Address)
-        return self.place
+        """The place, where that is an address; an OptionError where it is none."""
+        return Address.parse(f"{self.kind}:{self.place}", _DEFAULT_PORTS[self.kind])
 
     def number(self, name: str, default: float) -> float:
         """One of the settings."""
@@ -118,22 +112,19 @@ def read_source(text: str) -> Endpoint:
 
 def read_sink(text: str) -> Endpoint:
     """Takes a SINK apart, and sees whether its file can be written."""
-    wrong = f"--sink {text}: expected {SINK_FORMS}"
-    sink = _endpoint(text, SINK_SETTINGS, wrong)
+    sink = _endpoint(text, SINK_SETTINGS, f"--sink {text}: expected {SINK_FORMS}")
     if sink.kind in _REPLACED:
-        if not sink.place:
-            raise OptionError(wrong)
-        check_file(sink.path, (f".{sink.kind}",), "--sink")
+        check_file(Path(sink.place), (f".{sink.kind}",), "--sink")
     return sink
 
 
 def _endpoint(text: str, kinds: Mapping[str, str], wrong: str) -> Endpoint:
     bare, _, query = text.partition("?")
     kind, colon, place = bare.partition(":")
-    if kind not in kinds or not colon or (kind in _DEFAULT_PORTS) != place.startswith("//"):
+    at_port = kind in _DEFAULT_PORTS
+    if kind not in kinds or not colon or at_port != place.startswith("//") or (kind in _REPLACED and not place):
         raise OptionError(wrong)
-    at = Address.parse(bare, _DEFAULT_PORTS[kind]) if kind in _DEFAULT_PORTS else place
-    return Endpoint(text, kind, at, settings_of(text, query, tuple(kinds[kind].split())))
+    return Endpoint(text, kind, place, settings_of(text, query, tuple(kinds[kind].split())))
 
 
 @contextmanager
@@ -165,14 +156,8 @@ def open_source(
 ) -> Source:
     """Opens a source with a feed of its own in the mailbox; network sources listen at once.
 
-    Args:
-        source: which.
-        mailbox, network: for its frames, and that it runs in.
-        fused: takes what cameras of the rig see; None without a rig.
-        watchers: take a plain camera's pictures.
-
-    Raises:
-        OptionError, DatasetError, ModelError: it cannot be opened.
+    What cameras of a rig see is fused, and watchers take a plain camera's pictures. An OptionError, DatasetError or
+    ModelError where it cannot be opened.
     """
     text, kind, settings = source.text, source.kind, source.settings
     if kind in ("camera", "realsense"):
@@ -202,17 +187,17 @@ def _rig_of(source: Endpoint, fused: FusedSource | None) -> FusedSource:
 def _recorded(source: Endpoint) -> Sequence[SkeletonFrame]:
     """All persons of a recording or a bag, frame after frame."""
     if source.kind == "recording":
-        return list(merged_frames(one_scene(read_recordings((source.path,), None), source.path, "live")))
+        return list(merged_frames(one_scene(read_recordings((Path(source.place),), None), Path(source.place), "live")))
     from kinecast.ros.bags import read_frames  # here, since ROS is an extra
 
-    frames, wrong = read_frames(source.path, source.settings.get("topic", ""), _ros_input(source))
+    frames, wrong = read_frames(Path(source.place), source.settings.get("topic", ""), _ros_input(source))
     if wrong:
-        note(f"{source.path}: {wrong} messages were no skeletons")
+        note(f"{Path(source.place)}: {wrong} messages were no skeletons")
     return frames
 
 
 def _open_camera(source: Endpoint, feed: Feed, fused: FusedSource | None, watchers: Sequence[Watcher]) -> Source:
-    camera, place, settings = source.settings.get("camera"), str(source.place), source.settings
+    camera, place, settings = source.settings.get("camera"), source.place, source.settings
     opened: Source
     handler = None if camera is None else _rig_of(source, fused).handler(camera, feed)
     if source.kind == "camera":
@@ -237,18 +222,19 @@ def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> S
     """Opens a sink, in the network where it needs one. Views draw the scene."""
     kind = sink.kind
     if kind in _FILES:
-        return _FILES[kind](sink.path)
+        return _FILES[kind](Path(sink.place))
     if kind == "mp4":
         from kinecast.cameras.movie import Movie  # here, since cameras are an extra
 
-        return Movie(sink.path)
+        return Movie(Path(sink.place))
     if kind == "ws":
         packed = choice(sink.settings, "format", ("json", "msgpack"), sink.text) == "msgpack"
         return WebSocketSink(sink.address, network, packed)
     if kind == "view":
         from kinecast.view.live_view import LiveView  # here, since the view is an extra
 
-        return LiveView(sink.address.host, sink.address.port, scene, f"--sink {sink.text}")
+        address = sink.address
+        return LiveView(address.host, address.port, scene, f"--sink {sink.text}")
     from kinecast.ros.bags import BagWriter  # here, since ROS is an extra
     from kinecast.ros.messages import ros2_release
     from kinecast.ros.transport import RosSink
@@ -256,7 +242,7 @@ def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> S
     publisher = _ros_output(sink)
     if kind == "bag":
         distribution = ros2_release(sink.settings.get("distro", "jazzy"), f"{sink.text}: distro")
-        bag = BagWriter(sink.path, distribution, sink.settings.get("storage", "mcap"))
+        bag = BagWriter(Path(sink.place), distribution, sink.settings.get("storage", "mcap"))
         return RosSink(sink.text, publisher, bag, MOST_WAITING)
     return RosSink(sink.text, publisher, _transport(sink), ROOM)
 
@@ -268,7 +254,7 @@ def _open_ros(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:
     from kinecast.ros.subscriber import TF_TYPE, SkeletonSubscriber, input_type
     from kinecast.ros.transport import RosSource
 
-    topic, settings = str(source.place), source.settings
+    topic, settings = source.place, source.settings
     if not topic.startswith("/"):
         raise OptionError(f"{source.text}: a topic such as /skeletons is expected")
     if "type" not in settings and topic not in ("/tf", "/tf_static"):
@@ -290,7 +276,7 @@ def _ros_output(sink: Endpoint) -> PredictionPublisher:
     from kinecast.ros.publisher import OUTPUTS, OutputOptions, PredictionPublisher
 
     settings = sink.settings
-    namespace = settings.get("namespace") if sink.kind == "bag" else str(sink.place)
+    namespace = settings.get("namespace") if sink.kind == "bag" else sink.place
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS
     parts = sink.whole_number("parts", OutputOptions.parts)
     thickness = sink.number("thickness", OutputOptions.thickness)

@@ -1,9 +1,10 @@
-"""`kinecast evaluate`: methods scored on recordings they never saw; metrics, report, table."""
+"""`kinecast evaluate`: methods scored on recordings they never saw; and `kinecast demo`, on those that come with it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,6 +33,7 @@ from kinecast.errors import OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import every_frame
+from kinecast.prediction.methods import SHIPPED
 from kinecast.tasks import Serial, Workers
 
 DEFAULT_METHODS = (
@@ -102,6 +104,18 @@ def evaluate(
         compared = compared.with_ablations() if ablate else compared
         scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
         _score(out, compared, recordings, obstacles, scores, facts, workers)
+
+
+def demo(out: Folder = Path("kinecast-demo")) -> None:
+    """Predicts the arms of real people at work, scores and draws that, and says where it all is.
+
+    Args:
+        out: folder for the report and the pictures.
+    """
+    with resources.as_file(resources.files("kinecast") / "data") as data:
+        models = tuple(data / "models" / f"{name}.npz" for name in SHIPPED)
+        evaluate((data / "clips",), out, model=models, samples=200, repeats=2)
+    print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")
 
 
 def _methods_asked(train: Sequence[Path], model: Sequence[Path], methods: str, ablate: bool) -> list[str]:

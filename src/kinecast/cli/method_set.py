@@ -25,21 +25,13 @@ from kinecast.tasks import Workers
 
 @dataclass(frozen=True)
 class MethodSet:
-    """Methods for the same windows.
+    """Methods for the same windows."""
 
-    Attributes:
-        methods: by the name they are reported under.
-        limits: against which all their samples are counted.
-        trained_on: names of the recordings.
-        windows: what they are made for.
-        files: that they were read from, by name.
-    """
-
-    methods: Mapping[str, Method[Any]]
-    limits: JointLimits
-    trained_on: Sequence[str]
-    windows: WindowOptions
-    files: Mapping[str, str] = field(default_factory=dict)
+    methods: Mapping[str, Method[Any]]  # by the name they are reported under
+    limits: JointLimits  # against which all their samples are counted
+    trained_on: Sequence[str]  # names of the recordings
+    windows: WindowOptions  # what they are made for
+    files: Mapping[str, str] = field(default_factory=dict)  # that they were read from, by name
 
     def with_ablations(self) -> MethodSet:
         """With, before `kinecast`, what is left of it with each stage switched off; OptionError if it is not there."""
@@ -76,8 +68,7 @@ def train_methods(
 ) -> MethodSet:
     """Methods trained on every window of recordings, as `kinecast train` does; those from elsewhere in this process.
 
-    Raises:
-        DatasetError, ModelError, OptionError: too few windows, or what a function gives is no method.
+    A DatasetError, ModelError or OptionError for too few windows, or where what a function gives is no method.
     """
     with progress_bar("cutting windows") as progress:
         data = training_windows(recordings, options, scene, progress, workers)
@@ -98,9 +89,7 @@ def windows_told(told: Mapping[str, float | None], default: WindowOptions | None
 def read_models(paths: Sequence[Path], told: Mapping[str, float | None]) -> MethodSet:
     """Saved models, at least one, all for the windows told, or else for those of the first.
 
-    Raises:
-        ModelError: a file is no model, or made for other windows.
-        OptionError: a rate, window or horizon that no model can have.
+    A ModelError where a file is no model, or made for other windows; an OptionError for windows that there are not.
     """
     cards, methods = zip(*map(read_method, paths), strict=True)
     first = cards[0]

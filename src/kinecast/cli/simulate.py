@@ -81,17 +81,15 @@ def simulate(
         raise OptionError(f"--scenario {scenario}: allowed are {', '.join(SCENARIOS)}, all")
     scripted = tuple(name for name, each in SCENARIOS.items() if each.fetches)
     names = scripted if scenario == "all" else (scenario,)
-    if out is None and not view:
-        out = OUT
-    if out is not None:
-        check_folder(out)
+    if out is not None or not view:
+        check_folder(out or OUT)
     config = SimulationConfig(person, cell, seed, samples)
     if view:
         from kinecast.cli.view import serve  # here, since the view is an extra
 
         serve(host, port, names[0], predictor, config, out)
         return
-    assert out is not None
+    out = out or OUT
     episodes = {name: config.play(name, predictor) for name in names}
     config.write(out, episodes, scenario, predictor)
     print(closing_table(episodes))

@@ -81,10 +81,7 @@ class McapSink(FileSink):
 def write(path: Path, recordings: Sequence[Recording]) -> None:
     """Writes recordings of different persons so that `load` gives them back bit for bit.
 
-    A message's log time is its stamp, or 0 where that is before 1970.
-
-    Raises:
-        OSError: the file cannot be written.
+    A message's log time is its stamp, or 0 where that is before 1970. An OSError where the file cannot be written.
     """
     with path.open("wb") as file:
         writer = _JsonWriter(file, SKELETONS)
@@ -99,8 +96,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 def load(path: Path) -> list[Recording]:
     """One recording for each person, of skeletons or of predictions; those of `write` come back bit for bit.
 
-    Raises:
-        DatasetError: damaged, too large, or without either topic; or as `recordings_of`.
+    A DatasetError for a file that is damaged, too large, or without either topic; or as `recordings_of`.
     """
     messages: list[bytes] = []
     described: list[dict[str, Any]] = []

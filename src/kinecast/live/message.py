@@ -83,11 +83,7 @@ def person_of(message: SkeletonMessage) -> SkeletonFrame | Detection:
 
 
 def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
-    """The frame that a message's positions describe; see `decode`.
-
-    Raises:
-        MessageError: they describe none.
-    """
+    """The frame that a message's positions describe; a MessageError where they describe none. See `decode`."""
     rows = message.positions or []
     columns, joints = _columns(message, len(rows), "positions")
     if any(len(rows[column]) != 3 for column in columns):

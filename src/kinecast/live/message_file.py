@@ -66,11 +66,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 
 
 def load(path: Path) -> list[Recording]:
-    """One recording for each person, of lines of skeletons or of predictions.
-
-    Raises:
-        DatasetError: a line is neither, or a person's stamps do not increase.
-    """
+    """One recording for each person, of lines of skeletons or of predictions; a DatasetError for other lines."""
     return recordings_of((Said(where, *read(where, line)) for where, line in _lines(path)), path, "jsonl")
 
 
@@ -86,15 +82,9 @@ class Said(NamedTuple):
 def recordings_of(
     found: Iterable[Said], path: Path, format: str, described: Sequence[Mapping[str, Any]] = ()
 ) -> list[Recording]:
-    """One recording for each person in frames.
+    """One recording for each person in frames; fields of `Description` say what is known of each.
 
-    Args:
-        found: the frames of all persons.
-        path, format: of the file.
-        described: fields of `Description` for each recording, where they are known.
-
-    Raises:
-        DatasetError: there is none, a person's stamps do not increase, or predictions and skeletons are mixed.
+    A DatasetError where there is none, a person's stamps do not increase, or predictions and skeletons are mixed.
     """
     kept: list[tuple[tuple[str, str], Said]] = []
     newest: dict[tuple[str, str], float] = {}

@@ -38,11 +38,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str, default: int | None = None) -> Address:
-        """From `SCHEME://HOST:PORT`; without a host it is the loopback, without a port the default, if there is one.
-
-        Raises:
-            OptionError: it is no such address.
-        """
+        """From `SCHEME://HOST:PORT`, else an OptionError; no host is the loopback, no port the default, if any."""
         try:
             parts = urlsplit(text)
             port = default if parts.port is None else parts.port
@@ -104,10 +100,8 @@ async def _cancel_others() -> None:
 class WebSocketServer:
     """A WebSocket server with the limits of every source and sink, at its address at once, or an OptionError.
 
-    Args:
-        address: where; with port 0 the attribute has the one it really listens at.
-        network: that it runs in.
-        largest: bytes of a message; a client that sends more is disconnected.
+    With port 0 its attribute `address` has the port it really listens at. A client that sends a message with more bytes
+    than the largest is disconnected.
     """
 
     def __init__(self, address: Address, network: Network, largest: int) -> None:

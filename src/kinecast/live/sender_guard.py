@@ -57,8 +57,7 @@ class SenderGuard:
     def admit(self, frame: SkeletonFrame | Detection, sender: Hashable, arrived: float) -> None:
         """A frame that was read already; see `take`.
 
-        Raises:
-            MessageError: too many send, its person is another sender's, or its camera is none of the rig's.
+        A MessageError where too many send, its person is another sender's, or its camera is none of the rig's.
         """
         camera = self._camera_of(frame)
         clock = self._clock_of(sender, arrived)

@@ -57,11 +57,7 @@ class XsensOptions:
 
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> XsensOptions:
-        """From `person`, `up` and `stamps` of a source.
-
-        Raises:
-            OptionError: one outside its range.
-        """
+        """From `person`, `up` and `stamps` of a source; an OptionError for one outside its range."""
         person = settings.get("person")
         if person is not None and not (person.isascii() and person.isdigit() and int(person) < MOST_CHARACTERS):
             raise OptionError(f"{text}: person {person!r} is no character's number, 0..{MOST_CHARACTERS - 1}")

@@ -91,14 +91,14 @@ class PredictionPublisher:
         stamp = prediction.stamp
         if abs(stamp - ros_now) > SAME_CLOCK:
             stamp = max(ros_now - (now - publication.acquired), 0.0)
-        horizon = float(prediction.times[-1] - prediction.stamp) if len(prediction.times) else 0.0
+        horizon = float(prediction.times[-1] - prediction.stamp)
         expires = max(publication.acquired + horizon, now + AT_LEAST)
         self._shown[publication.key] = publication.frame.frame_id, expires
         if "prediction" in outputs:
             yield self._posting("prediction", _distribution(publication, stamp))
         if "markers" in outputs:
             yield self._posting("markers", _markers(publication, stamp, expires - now))
-        if "poses" in outputs and token and len(prediction.times):
+        if "poses" in outputs and token:
             means = points(prediction.mean.reshape(-1, 3))  # the six joints' at the first step, then at the next, …
             fields = {"header": _header(publication, stamp), "poses": [pose(each) for each in means]}
             yield Posting(self._topic(f"{token}/poses"), "geometry_msgs/PoseArray", fields)

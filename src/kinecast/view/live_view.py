@@ -172,10 +172,10 @@ def _words(publications: Sequence[Publication]) -> str:
         return '<div id="live">Nobody is seen.</div>'
     rows = []
     for each in publications:
-        status, (red, green, blue) = each.prediction.status, colour_of(each.prediction.status)
+        status = each.prediction.status
+        colour = " ".join(f"{0.65 * part:.0%}" for part in colour_of(status))  # dark, to be read on white
         rows.append(
             f"<p><b>{html.escape(each.prediction.person)}</b> · {html.escape(each.source)}<br>"
-            f'<span style="color:rgb({red:.0%} {green:.0%} {blue:.0%})">{status.name}</span>: '
-            f"{html.escape(status.advice)}</p>"
+            f'<span style="color:rgb({colour})">{status.name}</span>: {html.escape(status.advice)}</p>'
         )
     return f'<div id="live" style="overflow-wrap:anywhere;padding:0 1em">{"".join(rows)}</div>'
