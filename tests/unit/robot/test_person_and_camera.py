@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 from kinecast.robot.camera import Camera
+from kinecast.robot.cell import Cell
+from kinecast.robot.collaboration import replayed_person
 from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.ur5 import LinkCapsules
 
@@ -95,6 +98,22 @@ def test_the_camera_falls_silent_goes_blind_and_loses_arms() -> None:
     lost = sum(not shot.frames[0].valid.all() for shot in lossy)
     assert abs(lost / len(lossy) - 0.5) < 4 * 0.5 / np.sqrt(len(lossy))
     assert all(shot.frames[0].valid[[0, 3, 6, 7]].all() for shot in lossy), "shoulders, head and hips are seen"
+
+
+def test_a_recorded_person_stands_at_the_table_and_moves_as_they_did_without_the_trackers_noise() -> None:
+    stamps = np.arange(0.0, 8.0, 1 / 30)
+    way = 0.2 * np.sin(2 * np.pi * 1.0 * stamps)
+    noise = np.random.default_rng(0).normal(0.0, 0.004, (len(stamps), len(JOINTS), 3))
+    positions = POSE + noise
+    positions[:, 2, 0] += way
+    cell = Cell()
+    person = replayed_person(Recording("take", JOINTS, stamps, positions, 30.0), cell)
+    shoulders = np.mean([person.at(float(t))[[0, 3]] for t in stamps], axis=(0, 1))
+    np.testing.assert_allclose(shoulders[:2], cell.person[:2, 3], atol=0.02)
+    hand = np.array([person.at(float(t))[2] for t in stamps])
+    towards = -(hand - hand.mean(axis=0))[:, 0]  # they look at the arm
+    np.testing.assert_allclose(towards, way - way.mean(), atol=0.015)
+    assert np.abs(np.diff(towards - way, 2)).std() < 0.3 * np.abs(np.diff(noise[:, 2, 0], 2)).std()
 
 
 def test_bad_persons_are_refused() -> None:
