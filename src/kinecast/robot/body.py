@@ -119,22 +119,26 @@ def _ends(poses: np.ndarray, rows: np.ndarray, palm: float, trunk: float, head: 
     places = np.empty((8, 3))
     for m in range(len(poses)):
         start, end = ends[0, m], ends[1, m]
-        places[:] = np.nan
         for n in range(8):
-            if rows[n] >= 0 and np.isfinite(poses[m, rows[n]]).all():
-                places[n] = poses[m, rows[n]]
-        middle = (places[0] + places[3]) / 2
+            known = rows[n] >= 0
+            for i in range(3):
+                places[n, i] = poses[m, rows[n], i] if known else math.nan
+            if not math.isfinite(places[n, 0] + places[n, 1] + places[n, 2]):
+                places[n] = math.nan
+        for i in range(3):
+            start[7, i] = 0.5 * (places[0, i] + places[3, i])
         for n, above in ((6, -trunk), (7, head)):
-            if np.isnan(places[n, 0]):
-                places[n] = middle
+            if math.isnan(places[n, 0]):
+                places[n] = start[7]
                 places[n, 2] += above
         for side in range(0, 6, 3):
-            line = places[side + 2] - places[side + 1]
-            length = max(math.sqrt(line[0] * line[0] + line[1] * line[1] + line[2] * line[2]), 1e-6)
-            start[side : side + 3] = places[side : side + 3]
-            end[side : side + 2] = places[side + 1 : side + 3]
-            end[side + 2] = places[side + 2] + palm * line / length
-        start[6], end[6] = places[0], places[3]
-        start[7], end[7] = middle, places[6]
+            start[side : side + 3], end[side : side + 2] = places[side : side + 3], places[side + 1 : side + 3]
+            squared = 0.0
+            for i in range(3):
+                squared += (places[side + 2, i] - places[side + 1, i]) ** 2
+            share = palm / max(math.sqrt(squared), 1e-6)
+            for i in range(3):
+                end[side + 2, i] = places[side + 2, i] + share * (places[side + 2, i] - places[side + 1, i])
+        start[6], end[6], end[7] = places[0], places[3], places[6]
         start[8], end[8] = places[7], places[7]
     return ends

@@ -8,6 +8,7 @@ of the moment at which the waypoint is passed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import no_type_check
@@ -95,7 +96,6 @@ class Chomp:
             arm.capsule_joint[link],
             arm.capsule_radius[link],
         )
-        self._carried = np.arange(6)[:, None] <= self._joint
         self._link = np.array(link)
 
     def optimise(
@@ -127,10 +127,10 @@ class Chomp:
             if gap > highest:
                 improved = iteration if gap > highest + PROGRESS else improved
                 best, highest = q.copy(), gap
-            done = iteration >= least and gap > 0
+            change = OBSTACLE_STEP * metric @ torque + SMOOTH_STEP * (q - straight)[1:-1]
+            done = gap > 0 and (iteration >= least or not change.any())
             if done or iteration >= most or iteration - improved > PATIENCE:
                 return (q, gap, iteration) if gap > 0 else (best, highest, iteration)
-            change = OBSTACLE_STEP * metric @ torque + SMOOTH_STEP * (q - straight)[1:-1]
             change *= min(1.0, LARGEST_CHANGE / max(np.abs(change).max(), 1e-12))
             q[1:-1] = np.clip(q[1:-1] - change, *self.arm.q_range.T)
             iteration += 1
@@ -143,20 +143,18 @@ class Chomp:
         places = site_positions(frames, self._sites, self._joint)
         gap, pull = _nearest_obstacles(self._obstacles, self._first_link, places[1:-1], self._link)
         gap -= self._radius + margin
-        cost, slope = _cost(gap, SCENE_ZONE)
-        forces, least = _functional_gradient(places, cost, slope[..., None] * pull), gap.min()
+        least, (cost, slope) = gap.min(), _cost(gap, SCENE_ZONE)
+        pull *= slope[..., None]
         if people is not None:
-            gap, pull = _nearest_capsules(people.capsules[1:-1], places[1:-1])
+            gap, away = _nearest_capsules(people.capsules[1:-1], places[1:-1])
             gap -= self._radius
-            (cost, slope), (lost, steeper) = _cost(gap, PERSON_ZONE), people.price(gap)
-            forces += _functional_gradient(places, cost + lost, (slope + steeper)[..., None] * pull)
-            least = min(least, gap.min())
-        if not forces.any():
+            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), people.price(gap)
+            least, cost = min(least, gap.min()), cost + near + lost
+            pull += (steep + steeper)[..., None] * away
+        if not pull.any():
             return float(least), np.zeros((len(q) - 2, 6))
-        # Jᵀ f: what each joint carries turns about its axis z, which passes through its origin o.
-        axis, origin = frames[1:-1, :, :, 2], frames[1:-1, :, :, 3]
-        moment, force = self._carried @ np.cross(places[1:-1], forces), self._carried @ forces
-        return float(least), (axis * (moment - np.cross(origin, force))).sum(axis=-1)
+        forces = _functional_gradient(places, cost, pull)
+        return float(least), _torques(frames[1:-1], self._joint, places[1:-1], forces)
 
 
 @njit(cache=True)
@@ -181,21 +179,44 @@ def _nearest_obstacles(
     return distance, gradient
 
 
-def _nearest_capsules(
-    capsules: Float[np.ndarray, "W K 7"], points: Float[np.ndarray, "W P 3"]
-) -> tuple[Float[np.ndarray, "W P"], Float[np.ndarray, "W P 3"]]:
-    """Signed distances (W, P) [m] of body points to the nearest capsule of their moment, and gradients (W, P, 3)."""
-    start = capsules[:, None, :, :3]
-    line = capsules[:, None, :, 3:6] - start
-    beside = points[:, :, None] - start
-    length = np.maximum((line * line).sum(axis=-1), 1e-12)
-    beside -= np.clip((beside * line).sum(axis=-1) / length, 0.0, 1.0)[..., None] * line
-    from_axis = np.sqrt((beside * beside).sum(axis=-1))
-    distance = from_axis - capsules[:, None, :, 6]
-    nearest = distance.argmin(axis=-1)[..., None]
-    away = np.take_along_axis(beside, nearest[..., None], axis=2)[:, :, 0]
-    gradient = away / np.maximum(np.take_along_axis(from_axis, nearest, axis=-1), 1e-12)
-    return np.take_along_axis(distance, nearest, axis=-1)[..., 0], gradient
+@njit(cache=True)
+@no_type_check
+def _nearest_capsules(capsules: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distances (W, P) [m] of body points to the nearest capsule (W, K, 7) of then, and gradients (W, P, 3)."""
+    distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
+    for w in range(points.shape[0]):
+        for k in range(capsules.shape[1]):
+            c = capsules[w, k]
+            lx, ly, lz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+            squared = max(lx * lx + ly * ly + lz * lz, 1e-12)
+            for p in range(points.shape[1]):
+                x, y, z = points[w, p, 0] - c[0], points[w, p, 1] - c[1], points[w, p, 2] - c[2]
+                share = min(max((x * lx + y * ly + z * lz) / squared, 0.0), 1.0)
+                x, y, z = x - share * lx, y - share * ly, z - share * lz
+                away = math.sqrt(x * x + y * y + z * z)
+                if away - c[6] < distance[w, p]:
+                    distance[w, p] = away - c[6]
+                    away = max(away, 1e-12)
+                    gradient[w, p, 0], gradient[w, p, 1], gradient[w, p, 2] = x / away, y / away, z / away
+    return distance, gradient
+
+
+@njit(cache=True)
+@no_type_check
+def _torques(frames: np.ndarray, joint: np.ndarray, places: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """(W, 6) Jᵀ f of forces (W, P, 3) on points (W, P, 3) of the links of joints (P,): z · ((p − o) × f) of each."""
+    torques = np.zeros(frames.shape[:2])
+    for w in range(frames.shape[0]):
+        for p in range(len(joint)):
+            fx, fy, fz = forces[w, p, 0], forces[w, p, 1], forces[w, p, 2]
+            if fx != 0.0 or fy != 0.0 or fz != 0.0:
+                for j in range(joint[p] + 1):
+                    T = frames[w, j]
+                    x, y, z = places[w, p, 0] - T[0, 3], places[w, p, 1] - T[1, 3], places[w, p, 2] - T[2, 3]
+                    torques[w, j] += (
+                        T[0, 2] * (y * fz - z * fy) + T[1, 2] * (z * fx - x * fz) + T[2, 2] * (x * fy - y * fx)
+                    )
+    return torques
 
 
 def _cost(distance: np.ndarray, zone: float) -> tuple[np.ndarray, np.ndarray]:
