@@ -24,11 +24,11 @@ from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
 from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell, standing_at
 from kinecast.robot.person import Person, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Predict, Simulation
-from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
 
 __all__ = ["PREDICTORS", "SCENARIOS", "generated_person", "predictor_named", "replayed_person", "simulate_scenario"]
@@ -197,7 +197,7 @@ def simulate_scenario(
     seed: int,
     samples: int = SAMPLES,
     person: PlayedPerson | None = None,
-    options: SupervisorOptions | None = None,
+    body: OccupancyOptions | None = None,
     cell: Cell | None = None,
 ) -> Simulation:
     """One of SCENARIOS, ready to run.
@@ -208,7 +208,7 @@ def simulate_scenario(
         seed: of the person and the camera.
         samples: drawn per prediction.
         person: instead of the scripted one.
-        options: how the foreman decides.
+        body: radii of the people's limbs.
         cell: where; the default one.
 
     Raises:
@@ -221,4 +221,4 @@ def simulate_scenario(
         person = scripted_person(scenario, seed, cell) if scenario.fetches else generated_person(seed, cell)
     people: list[Person] = [person if scenario.fetches else ReactivePerson(person)]
     predict = predictor_named(predictor, people, samples)
-    return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, options)
+    return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, body)

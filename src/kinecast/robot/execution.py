@@ -142,15 +142,6 @@ class Executor:
             self.q, self.qd, self.qdd = self._at(self._clock)
         return self._state()
 
-    def ahead(
-        self, seconds: float, scale: float = 1.0
-    ) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-        """The state that `step(scale)` will have reached after this time [s]: plans may start there."""
-        clock = self._clock
-        for _ in range(round(seconds / self.dt)):
-            clock = self._later(clock, scale)
-        return self._at(clock)
-
     def stopping(self, after: float = 0.0) -> tuple[Float[np.ndarray, "6"], float]:
         """Where the arm comes to rest if it brakes after a while [s] (6,) [rad], and when [s from now]."""
         clock, steps = self._clock, 0

@@ -14,6 +14,10 @@ from kinecast.robot.ur5 import LINKS, UR5
 
 __all__ = ["GraspConfigurations", "Step", "nearest", "postures", "straight"]
 
+VERTICAL = 0.5
+"""Greatest speed of the straight ways down and up [m/s]."""
+DWELL = 0.25
+"""Time the gripper takes [s]."""
 WAYPOINTS = 9
 CONTINUOUS = 0.8
 """Between two waypoints of a straight line no angle changes by more than this, or the arm would flip over [rad]."""
@@ -100,16 +104,13 @@ def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[
     return largest
 
 
-def straight(
-    arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], speed: float, start_time: float
-) -> Trajectory | None:
+def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], start_time: float) -> Trajectory | None:
     """The tool along a straight line, as it is turned, from rest to rest.
 
     Args:
         arm: the arm.
         q: (6,) where it starts [rad].
         to: (3,) where the tool ends [m].
-        speed: greatest, of the tool [m/s].
         start_time: [s].
 
     Returns:
@@ -119,7 +120,7 @@ def straight(
     way = to - T[:3, 3]
     tau = np.linspace(0.0, 1.0, WAYPOINTS)
     share = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))  # minimum jerk: its peak speed is 15/8 of its mean
-    duration = max(1.875 * float(np.linalg.norm(way)) / speed, 0.1)
+    duration = max(1.875 * float(np.linalg.norm(way)) / VERTICAL, 0.1)
     rows = [np.asarray(q, dtype=np.float64)]
     for s in share[1:]:
         place = T.copy()

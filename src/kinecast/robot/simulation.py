@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from kinecast.robot.body import TRUE_BODY, body_capsules
+from kinecast.robot.body import TRUE_BODY, OccupancyOptions, body_capsules
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
@@ -19,7 +19,7 @@ from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
 from kinecast.robot.planning_desk import DeferredDesk, Solve
 from kinecast.robot.separation import Separation, SeparationOptions, separation
-from kinecast.robot.supervisor import Command, Supervisor, SupervisorOptions
+from kinecast.robot.supervisor import Command, Supervisor
 from kinecast.robot.ur5 import UR5, LinkCapsules
 from kinecast.types import Prediction, SkeletonFrame
 
@@ -46,7 +46,7 @@ class Simulation:
         predict: the predictor.
         camera: what the arm sees of them.
         cell: what is to be done.
-        options: how the foreman decides.
+        body: radii of the people's limbs.
         solve: the planner; the arm's own by default.
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
@@ -59,7 +59,7 @@ class Simulation:
         predict: Predict,
         camera: Camera | None = None,
         cell: Cell | None = None,
-        options: SupervisorOptions | None = None,
+        body: OccupancyOptions | None = None,
         solve: Solve | None = None,
         dt: float = 0.008,
         limit: float = 120.0,
@@ -71,10 +71,9 @@ class Simulation:
         q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
-        options = options or SupervisorOptions()
-        chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell, options.choice)
+        chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
         self.desk = DeferredDesk(solve or chooser.choose, clock=clock)
-        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
+        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, body)
         self.episode = Episode()
 
     def run(self) -> Episode:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -19,12 +19,12 @@ from jaxtyping import Float
 from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Shot
 from kinecast.robot.cell import Cell
-from kinecast.robot.choice import Choice, ChoiceOptions, Request, options_for
+from kinecast.robot.choice import Choice, Request, options_for
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.motions import STEP
 from kinecast.robot.people import PeopleModel
-from kinecast.robot.pick_place import GraspConfigurations, Step, straight
+from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
 from kinecast.robot.planning_desk import Desk
 from kinecast.robot.separation import Separation
 from kinecast.robot.speed_limit import LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
@@ -34,7 +34,7 @@ from kinecast.robot.ur5 import UR5
 from kinecast.robot.wording import reason_of, state_of
 from kinecast.types import Decision, Prediction, Reaction, RobotState
 
-__all__ = ["Command", "Supervisor", "SupervisorOptions"]
+__all__ = ["Command", "Supervisor"]
 
 log = logging.getLogger(__name__)
 
@@ -58,19 +58,6 @@ AFTER_EVADING = {
     Step.LOWER: Step.CARRY,
 }  # fmt: skip
 """What a step that was held becomes."""
-
-
-@dataclass(frozen=True)
-class SupervisorOptions:
-    """What it decides by.
-
-    Attributes:
-        occupancy: radii of the people's limbs.
-        choice: how ways are compared.
-    """
-
-    occupancy: OccupancyOptions = field(default_factory=OccupancyOptions)
-    choice: ChoiceOptions = field(default_factory=ChoiceOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +85,14 @@ class Supervisor:
         cell: what is to be done, and where.
         executor: follows paths; stands where the arm stands.
         desk: where plans are asked for.
-        options: see SupervisorOptions.
+        body: radii of the people's limbs.
     """
 
     def __init__(
-        self, arm: UR5, cell: Cell, executor: Executor, desk: Desk, options: SupervisorOptions | None = None
+        self, arm: UR5, cell: Cell, executor: Executor, desk: Desk, body: OccupancyOptions | None = None
     ) -> None:
         self.arm, self.cell, self.executor, self.desk = arm, cell, executor, desk
-        self.options = options or SupervisorOptions()
-        self.people = PeopleModel(self.options.occupancy)
+        self.people = PeopleModel(body)
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
         self.target: str | None = None
@@ -216,7 +202,7 @@ class Supervisor:
         if self.step is Step.NONE or (self.step is Step.REST and self._then is Step.NONE and self.sequence.remaining):
             self._choose(now)
         elif self.step in (Step.CLOSE, Step.OPEN):
-            if now - self._since >= self.options.choice.dwell:
+            if now - self._since >= DWELL:
                 self._begin(NEXT[self.step], now)
         elif self._trajectory is None:
             if not self.busy and now >= self._not_before:
@@ -283,7 +269,7 @@ class Supervisor:
         cube = self.cell.cube(self.target)
         above = self.cell.hover if step in (Step.LIFT, Step.RISE) else 0.0
         to = self.cell.grasp(cube.place if step in (Step.LOWER, Step.RISE) else cube.position, above)[:3, 3]
-        way = straight(self.arm, self.executor.q, to, self.options.choice.vertical, now)
+        way = straight(self.arm, self.executor.q, to, now)
         if way is None:
             self._trouble = f"There is no straight way for {step.value}."
             return
@@ -308,7 +294,7 @@ class Supervisor:
             now: [s].
         """
         q = self.executor.q
-        options = options_for(self.step, self.target, self.sequence, self.cell, self._places, q, self.options.choice)
+        options = options_for(self.step, self.target, self.sequence, self.cell, self._places, q)
         if not any(len(option.goals) for option in options):
             self._no_way("out of reach", now)
             return

@@ -107,17 +107,6 @@ def test_it_brakes_on_the_path(arm: UR5) -> None:
     assert off_the_path(states, path()) < 1e-3
 
 
-def test_what_is_ahead_comes(arm: UR5) -> None:
-    executor = Executor(arm, DT, HOME)
-    executor.follow(path())
-    for _ in range(50):
-        executor.step(1.0)
-    expected = executor.ahead(0.096, 0.5)
-    for _ in range(12):
-        state = executor.step(0.5)
-    np.testing.assert_allclose(state, expected, atol=1e-12)
-
-
 def test_from_anywhere_else_it_is_led_to_the_start(arm: UR5) -> None:
     executor = Executor(arm, DT, HOME)
     executor.follow(path())

@@ -9,7 +9,7 @@ from kinecast.errors import OptionError
 from kinecast.geometry.shapes import Capsule
 from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.cell import CELLS, Cell, cell_named
-from kinecast.robot.choice import ChoiceOptions, Chooser, Option, Request
+from kinecast.robot.choice import Chooser, Option, Request
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import travel_time
 from kinecast.robot.motions import AHEAD, STEP, Motions, PoseHistory, likely, motions_of
@@ -172,5 +172,3 @@ def test_cells_have_their_constants_and_others_are_refused() -> None:
         cell_named("office")
     with pytest.raises(OptionError, match="delay -1"):
         Cell(delay=-1.0)
-    with pytest.raises(OptionError, match="gain -1"):
-        ChoiceOptions(gain=-1.0)
