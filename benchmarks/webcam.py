@@ -26,9 +26,8 @@ from benchmarks.machine import facts, milliseconds, save
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.cameras.landmarker import JOINTS, Landmarker, Landmarks
 from kinecast.cameras.overlay import Picture, drawn
-from kinecast.cameras.perspective import height_of, turn_towards
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
-from kinecast.cameras.single_view import BODY, ScaleOptions, SingleView
+from kinecast.cameras.single_view import BODY, ScaleOptions, SingleView, height_of, turn_towards
 from kinecast.cameras.video import VideoStream
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.model_cache import cached_model

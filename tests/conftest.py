@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -105,3 +110,81 @@ def blobs() -> Callable[..., np.ndarray]:
         return image
 
     return draw
+
+
+class Server(ThreadingHTTPServer):
+    """Serves `files` on loopback; a test may make it misbehave."""
+
+    daemon_threads = True
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.files: dict[str, bytes] = {}
+        self.ranges = True  # understands Range
+        self.breaks_after: int | None = None  # closes a connection after so many bytes
+        self.busy: dict[str, int] = {}  # answers 503 so often first
+        self.requests: list[tuple[str, str | None]] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}/"
+
+    def record(self, **files: bytes) -> None:
+        """Serve files and a Zenodo record that lists them."""
+        self.files.update({f"files/{name}": content for name, content in files.items()})
+        self.list_files([self.entry(name, content) for name, content in files.items()])
+
+    def entry(self, name: str, content: bytes) -> dict[str, object]:
+        link = {"self": f"{self.url}files/{name}"}
+        return {
+            "key": name,
+            "size": len(content),
+            "checksum": f"md5:{hashlib.md5(content).hexdigest()}",
+            "links": link,
+        }
+
+    def list_files(self, entries: list[dict[str, object]], **metadata: str) -> None:
+        self.files["record"] = json.dumps({"metadata": metadata, "files": entries}).encode()
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Server
+
+    def do_GET(self) -> None:
+        server = self.server
+        path, wanted = unquote(self.path[1:]), self.headers.get("Range")
+        server.requests.append((path, wanted))
+        if server.busy.get(path):
+            server.busy[path] -= 1
+            self.send_error(503)
+        elif path not in server.files:
+            self.send_error(404)
+        else:
+            content, start = server.files[path], 0
+            if wanted and server.ranges:
+                start = int(wanted.removeprefix("bytes=").removesuffix("-"))
+                if start >= len(content):
+                    self.send_error(416)
+                    return
+                self.send_response(206)
+                self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
+            else:
+                self.send_response(200)
+            self.send_header("Content-Length", str(len(content) - start))
+            self.end_headers()
+            end = None if server.breaks_after is None or path == "record" else start + server.breaks_after
+            self.wfile.write(content[start:end])
+            self.close_connection = True
+
+    def log_message(self, *_: object) -> None:
+        """Silence."""
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with Server() as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()

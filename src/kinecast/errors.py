@@ -2,17 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "ArmError",
-    "ClusterError",
-    "DatasetError",
-    "DownloadError",
-    "KinecastError",
-    "MissingExtraError",
-    "ModelError",
-    "OptionError",
-]
-
 
 class KinecastError(Exception):
     """Root of all errors kinecast raises on purpose. The command line turns one into exit code 2."""
@@ -27,13 +16,11 @@ class DatasetError(KinecastError, ValueError):
     """
 
     def __init__(self, where: object, problem: str) -> None:
-        super().__init__(f"{where}: {problem}")
-        self.where = str(where)
-        self.problem = problem
+        super().__init__(str(where), problem)
+        self.where, self.problem = self.args
 
-    def __reduce__(self) -> tuple[type[DatasetError], tuple[str, str]]:
-        """As a task on another machine raised it."""
-        return type(self), (self.where, self.problem)
+    def __str__(self) -> str:
+        return f"{self.where}: {self.problem}"
 
 
 class ModelError(KinecastError, ValueError):
@@ -48,13 +35,10 @@ class MissingExtraError(KinecastError, ImportError):
     """A feature whose optional packages are not installed; the message is the pip command that mends it."""
 
     def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f"{feature} needs optional packages: pip install 'kinecast[{extra}]'")
-        self.feature = feature
-        self.extra = extra
+        super().__init__(feature, extra)
 
-    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
-        """As a task on another machine raised it."""
-        return type(self), (self.feature, self.extra)
+    def __str__(self) -> str:
+        return "{} needs optional packages: pip install 'kinecast[{}]'".format(*self.args)
 
 
 class DownloadError(KinecastError, OSError):

@@ -19,12 +19,8 @@ from kinecast.prediction.observation import STANDING, Observation
 from kinecast.track import Track
 from kinecast.types import Density, Prediction, SkeletonFrame, Status
 
-__all__ = ["Predictor", "PredictorOptions"]
-
-UNFAMILIAR_SHARE = 0.1
-"""Weight of the learned experts below which the status says that they have given way."""
-AT_REST = 0.1
-"""Whose joints all move slower than this [m/s] is best predicted to stay, and that is nothing unfamiliar."""
+UNFAMILIAR_SHARE = 0.1  # weight of the learned experts below which the status says that they have given way
+AT_REST = 0.1  # whose joints all move slower than this [m/s] is best predicted to stay, and that is nothing unfamiliar
 HAND_SPEED = 2.0
 """Fastest approach of a hand [m/s] (ISO 13855:2010, clause 5): bounds what is said before anything is known."""
 
@@ -143,35 +139,6 @@ class Predictor:
         covariance = joint_covariances(forecast.samples)
         if not np.isfinite(covariance).all():  # a sample that is not finite makes it so
             return self._fault(frame)
-        given_way = forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE
-        if taken is Status.OK and given_way and _speed(observation) > AT_REST:
-            taken = Status.UNFAMILIAR
-        status = trouble if trouble is not Status.OK else taken
-        if forecast.effective_sample_size == 0:
-            status = Status.BLOCKED
-        delay = now - observation.stamp
-        passed = observation.times(self.method.steps)[-1] <= now + 1e-9
-        if passed or not -self.method.dt <= delay <= self.options.longest_delay:
-            status = Status.LATE
-        return self._prediction(frame.person, observation, forecast, covariance, status, now)
-
-    def _update(self, track: Track, observation: Observation) -> None:
-        """The method learns of this frame; a camera faster than the model's grid is taken at the grid's pace."""
-        if track.state_stamp == -np.inf:
-            track.state = self.method.init_state()
-        if observation.stamp >= track.state_stamp + 0.9 * self.method.dt:
-            track.state = self.method.update(track.state, observation, track.arms[-1])
-            track.state_stamp = observation.stamp
-
-    def _prediction(
-        self,
-        person: str,
-        observation: Observation,
-        forecast: Forecast,
-        covariance: Float[np.ndarray, "T 6 3 3"],
-        status: Status,
-        now: float,
-    ) -> Prediction:
         times = observation.times(self.method.steps)
         ahead = _ahead(times, now)
         return Prediction(
@@ -181,8 +148,8 @@ class Predictor:
             mean=forecast.mean[ahead],
             covariance=covariance[ahead],
             joints=ARM_JOINTS,
-            person=person,
-            status=status,
+            person=frame.person,
+            status=self._status(taken, trouble, observation, forecast, now),
             diagnostics={
                 **forecast.diagnostics,
                 "accepted_fraction": forecast.accepted_fraction,
@@ -192,6 +159,29 @@ class Predictor:
             density=_LaterSteps(forecast.density, ahead),
             goals=forecast.goals,
         )
+
+    def _status(
+        self, taken: Status, trouble: Status, observation: Observation, forecast: Forecast, now: float
+    ) -> Status:
+        """The worst that is known: of the delay, the scene, the window, the frame, the method."""
+        delay = now - observation.stamp
+        passed = observation.times(self.method.steps)[-1] <= now + 1e-9
+        if passed or not -self.method.dt <= delay <= self.options.longest_delay:
+            return Status.LATE
+        if forecast.effective_sample_size == 0:
+            return Status.BLOCKED
+        if trouble is not Status.OK:
+            return trouble
+        given_way = forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE
+        return Status.UNFAMILIAR if taken is Status.OK and given_way and _speed(observation) > AT_REST else taken
+
+    def _update(self, track: Track, observation: Observation) -> None:
+        """The method learns of this frame; a camera faster than the model's grid is taken at the grid's pace."""
+        if track.state_stamp == -np.inf:
+            track.state = self.method.init_state()
+        if observation.stamp >= track.state_stamp + 0.9 * self.method.dt:
+            track.state = self.method.update(track.state, observation, track.arms[-1])
+            track.state_stamp = observation.stamp
 
     def _track(self, frame: SkeletonFrame) -> Track:
         """This person's track; persons long unseen, and the longest unseen of too many, are forgotten."""

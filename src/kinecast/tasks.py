@@ -19,25 +19,22 @@ import signal
 import sys
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
-from contextlib import ExitStack, closing, contextmanager
+from concurrent.futures import CancelledError, Future
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from kinecast.errors import ClusterError, MissingExtraError, OptionError
 
-CARRIED: set[ModuleType] = set()
-"""Modules of the user's own, whose code travels with tasks: workers elsewhere may not have them."""
-PATIENCE = 60
-"""How long the first worker may take to come, and how long there may be none [s]."""
-MATTERING = ("numpy", "scipy", "numba", "jax", "jaxlib")
-"""Packages whose version may change the last bits of results."""
+CARRIED: set[ModuleType] = set()  # the user's own modules, whose code travels with tasks: workers may not have them
+PATIENCE = 60  # how long the first worker may take to come, and how long there may be none [s]
+MATTERING = ("kinecast", "numpy", "scipy", "numba", "jax", "jaxlib")  # their versions may change a result's last bits
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 SETTINGS = {
     # One thread, since there are as many workers as cores. This replaces Dask's own environment of a worker, which
@@ -51,21 +48,20 @@ Progress = Callable[[int, int], None]
 """Called with (done, total) tasks."""
 
 
-@runtime_checkable
-class Workers(Protocol):
-    """Does tasks."""
+class Serial:
+    """Workers that are this process: each task in its turn."""
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Takes a task on; returns what stands for its result.
+    def __init__(self) -> None:
+        self._waiting: list[tuple[Future[Any], tuple[Any, ...]]] = []
 
-        Args:
-            function: of a module, or a partial of one: its name travels, not its code.
-            arguments: values, or what `submit` returned for other tasks, alone or in a list.
-        """
-        ...
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Takes a task on: a function of a module, or a partial of one. Returns what stands for its result."""
+        task = Future[Any]()
+        self._waiting.append((task, (function, *arguments)))
+        return task
 
-    def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
-        """What tasks gave, once every task taken on is done.
+    def results(self, handles: Sequence[Future[Any]], progress: Progress | None = None) -> list[Any]:
+        """What tasks gave, once every task taken on is done and its arguments are let go.
 
         Args:
             handles: what `submit` returned.
@@ -73,39 +69,19 @@ class Workers(Protocol):
 
         Raises:
             Exception: what the first task that failed raised.
-            ClusterError: the scheduler is gone, or no worker is left, or workers died again and again under a task.
         """
-        ...
-
-
-class _Task:
-    """A task of this process; its arguments are let go once it is done."""
-
-    def __init__(self, *call: Any) -> None:
-        self.call = call
-        self.result: Any = None
-
-
-class Serial:
-    """Workers that are this process: each task in its turn."""
-
-    def __init__(self) -> None:
-        self._waiting: list[_Task] = []
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> _Task:
-        """See Workers."""
-        self._waiting.append(_Task(function, *arguments))
-        return self._waiting[-1]
-
-    def results(self, handles: Sequence[_Task], progress: Progress | None = None) -> list[Any]:
-        """See Workers."""
-        waiting, self._waiting = self._waiting, []
-        for done, task in enumerate(waiting, 1):
-            call, task.call = task.call, ()
-            task.result = single_threaded(*_each(lambda task: task.result, _Task, call))
+        waiting, self._waiting = self._waiting[::-1], []
+        total = len(waiting)
+        while waiting:
+            task, call = waiting.pop()
+            task.set_result(single_threaded(*_each(_result, Future, list(call))))
             if progress:
-                progress(done, len(waiting))
-        return [task.result for task in handles]
+                progress(total - len(waiting), total)
+        return list(map(_result, handles))
+
+
+def _result(task: Future[Any]) -> Any:
+    return task.result(timeout=0)  # a task before it has failed where there is none
 
 
 def single_threaded(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -126,16 +102,11 @@ def scatter(value: Any) -> Any:
     return value
 
 
-def _each(function: Callable[[Any], Any], kind: type, values: Sequence[Any]) -> list[Any]:
-    """The function of those values that are of a kind, alone or in a list, among the others as they are."""
-    return [
-        _each(function, kind, value)
-        if isinstance(value, list)
-        else function(value)
-        if isinstance(value, kind)
-        else value
-        for value in values
-    ]
+def _each(function: Callable[[Any], Any], kind: type, value: Any) -> Any:
+    """A value, with the function of what is of a kind in its place, alone or in lists."""
+    if isinstance(value, list):
+        return [_each(function, kind, each) for each in value]
+    return function(value) if isinstance(value, kind) else value
 
 
 class Cluster:
@@ -150,27 +121,26 @@ class Cluster:
         self._waiting: list[Any] = []
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """See Workers."""
+        """See Serial."""
         import cloudpickle
-        from distributed import Future
+        import distributed
 
         for module in CARRIED:
             cloudpickle.register_pickle_by_value(module)
         name = getattr(function.func if isinstance(function, partial) else function, "__name__", "task")
-        key = f"{name.strip('_')}-{uuid.uuid4().hex}"
-        needed: list[Future] = []
+        needed: list[Any] = []
 
-        def place(future: Future) -> _Place:
+        def place(future: Any) -> _Place:
             needed.append(future)
             return _Place(len(needed) - 1)
 
-        call = cloudpickle.dumps(_each(place, Future, (function, *arguments)))
-        future = self.client.submit(_on_worker, call, needed, key=key, pure=False)
-        self._waiting.append(future)
-        return future
+        call = cloudpickle.dumps(_each(place, distributed.Future, [function, *arguments]))
+        key = f"{name.strip('_')}-{uuid.uuid4().hex}"
+        self._waiting.append(self.client.submit(_on_worker, call, needed, key=key, pure=False))
+        return self._waiting[-1]
 
     def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
-        """See Workers."""
+        """See Serial; a ClusterError where the scheduler is gone, no worker is left, or they die under a task."""
         from distributed import KilledWorker
 
         waiting, self._waiting = self._waiting, []
@@ -182,10 +152,8 @@ class Cluster:
                     progress(done, len(waiting))
             found: list[Any] = self.client.gather(list(handles))
         except KilledWorker as error:
-            task = str(error.task).partition("-")[0]
-            raise ClusterError(
-                f"{error.allowed_failures} workers died under the task {task}: is there enough memory?"
-            ) from None
+            died, task = error.allowed_failures, str(error.task).partition("-")[0]
+            raise ClusterError(f"{died} workers died under the task {task}: is there enough memory?") from None
         except (Exception, CancelledError) as error:
             if self.client.status != "running":
                 raise ClusterError("the scheduler is gone") from error
@@ -199,13 +167,15 @@ class Cluster:
 
         rest = dict.fromkeys(futures)
         while rest:
-            try:
+            with suppress(TimeoutError):
                 for future in as_completed(list(rest), loop=self.client.loop, timeout=PATIENCE):
                     del rest[future]
                     yield future
-            except TimeoutError:
-                if not self.client.scheduler_info(n_workers=-1)["workers"]:
-                    raise ClusterError(f"no worker is left; {len(rest)} tasks are not done") from None
+            if rest and not self.client.scheduler_info(n_workers=-1)["workers"]:
+                raise ClusterError(f"no worker is left; {len(rest)} tasks are not done")
+
+
+Workers = Serial | Cluster
 
 
 class _Place(NamedTuple):
@@ -254,7 +224,7 @@ def cluster_at(where: str) -> Iterator[Cluster]:
             client = opened.enter_context(closing(Client(scheduler, timeout=PATIENCE, set_as_default=False)))
         except (OSError, ValueError) as error:
             raise ClusterError(f"--cluster {where}: no scheduler ({error})") from None
-        _check(client, where, count or 1)
+        _check(client, f"--cluster {where}", count or 1)
         yield Cluster(client)
 
 
@@ -266,13 +236,12 @@ def worker_count(where: str) -> int | None:
     """
     kind, _, number = where.partition(":")
     if where == "local":
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return len(os.sched_getaffinity(0))
     if kind == "local" and re.fullmatch("[0-9]{1,4}", number) and 1 <= int(number) <= 1024:
         return int(number)
     if kind == "local" or not number:
-        raise OptionError(
-            f"--cluster {where}: expected local, local:N with N of 1..1024, or HOST:PORT, tls://HOST:PORT"
-        )
+        expected = "local, local:N with N of 1..1024, or HOST:PORT, tls://HOST:PORT"
+        raise OptionError(f"--cluster {where}: expected {expected}")
     return None
 
 
@@ -281,9 +250,6 @@ def _deaf_to_interrupts() -> Iterator[None]:
     """Threads and processes begun meanwhile do not hear Ctrl-C, which a terminal sends to all."""
     from multiprocessing import resource_tracker
 
-    if not hasattr(signal, "pthread_sigmask"):  # pragma: no cover - Windows
-        yield
-        return
     sys.warnoptions.append("ignore:resource_tracker")  # it tidies up after a process that is killed, and says so
     resource_tracker.ensure_running()  # else the first process would start it, and let interrupts in again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -298,29 +264,26 @@ def _check(client: Any, where: str, count: int) -> None:
     try:
         client.wait_for_workers(count, timeout=PATIENCE)
     except TimeoutError:
-        raise ClusterError(f"--cluster {where}: no worker came within {PATIENCE} s") from None
+        raise ClusterError(f"{where}: no worker came within {PATIENCE} s") from None
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if any(worker["nthreads"] != 1 for worker in workers.values()):
-        raise ClusterError(f"--cluster {where}: a worker has several threads; start workers with --nthreads 1")
+        raise ClusterError(f"{where}: a worker has several threads; start workers with --nthreads 1")
     try:
         found = client.run(_facts)
     except ImportError as error:
-        raise ClusterError(f"--cluster {where}: a worker cannot run kinecast ({error})") from None
+        raise ClusterError(f"{where}: a worker cannot run kinecast ({error})") from None
     own = _facts()
     for worker, others in found.items():
-        unlike = [f"{name} {other} and not {own[name]}" for name, other in others.items() if other != own[name]]
-        if unlike:
-            raise ClusterError(f"--cluster {where}: {worker} has {', '.join(unlike)}; results would differ")
+        if unlike := [f"{name} {other} and not {own[name]}" for name, other in others.items() if other != own[name]]:
+            raise ClusterError(f"{where}: {worker} has {', '.join(unlike)}; results would differ")
 
 
 def _facts() -> dict[str, str]:
     """What the last bits of results depend on; not the BLAS that a wheel such as OpenCV's has for itself."""
-    found = {"kinecast": version("kinecast"), "processor": platform.machine()}
+    found = {"processor": platform.machine(), **dict.fromkeys(MATTERING, "(none)")}
     for package in MATTERING:
-        try:
+        with suppress(PackageNotFoundError):
             found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "(none)"
     pools = [(pool, Path(pool["filepath"]).parent.name) for pool in threadpool_info() if pool["user_api"] == "blas"]
     ours = ("numpy.libs", "scipy.libs")
     kinds = {str(pool.get("architecture")) for pool, folder in pools if folder in ours or not folder.endswith(".libs")}

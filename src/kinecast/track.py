@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,14 +16,10 @@ from kinecast.body.tracking import Trouble, repair_window
 from kinecast.prediction.observation import Observation
 from kinecast.types import SkeletonFrame, Status
 
-__all__ = ["Track"]
-
-MOST_FRAMES = 512
-"""Frames kept of one person: bounded memory whatever the camera's rate."""
-LONGEST_GAP = 0.3
-"""After a longer silence [s] a person's history starts anew."""
-BACKWARDS = 1.0
-"""A stamp older than the newest by more than this [s] is a new clock, not a late frame."""
+MOST_FRAMES = 512  # frames kept of one person: bounded memory whatever the camera's rate
+LONGEST_GAP = 0.3  # after a longer silence [s] a person's history starts anew
+LONG = 2.5  # a joint not seen for more of the grid's steps has a gap; one frame filled in costs 0.1 mm of 70 at most
+BACKWARDS = 1.0  # a stamp older than the newest by more than this [s] is a new clock, not a late frame
 BONES = (0.10, 0.60)
 """Lengths of upper arm, forearm and shoulder line that a person can have [m]; from infant to the tallest on record."""
 
@@ -66,7 +63,9 @@ class Track:
         Raises:
             ValueError: arrays whose shapes do not fit the joints' names.
         """
-        _check_shapes(frame)
+        joints, std = len(frame.joints), None if frame.std is None else frame.std.shape
+        if frame.positions.shape != (joints, 3) or std not in (None, (joints,)):
+            raise ValueError(f"positions {frame.positions.shape} and std {std} for {joints} joints")
         if self.stamps:
             age = self.stamps[-1] - frame.stamp
             if 0 <= age <= BACKWARDS:
@@ -75,12 +74,15 @@ class Track:
                 self.stamps.clear()
                 self.arms.clear()
                 self.state, self.state_stamp = None, -np.inf
-        arms = _arms(frame)
+        arms = arms_of(frame)
         repeated = bool(self.arms) and np.array_equal(self.arms[-1], arms)
         self.stamps.append(frame.stamp)
         self.arms.append(arms)
         self._follow_torso(frame)
-        self.std = None if frame.std is None else _std(frame)
+        self.std = None
+        if frame.std is not None:
+            stated = _of_arms(frame.joints, frame.std)
+            self.std = np.where(np.isfinite(stated), stated.clip(0.0, 1.0), 0.0)  # what is not sensible says nothing
         return Status.REPEATED if repeated else Status.OK
 
     def _follow_torso(self, frame: SkeletonFrame) -> None:
@@ -120,7 +122,15 @@ class Track:
         positions = _interpolate(repair.positions, stamps[first:], grid)
         excess = np.zeros(6) if self.std is None else np.sqrt(np.maximum(self.std**2 - noise**2, 0.0))
         observation = Observation(positions, self.up, self.dt, float(stamps[-1]), excess)
-        return observation, self._status(positions[-1], trouble, float(np.diff(stamps[first:]).max()))
+        return observation, self._status(positions[-1], trouble, self._longest_unseen(window, stamps[first:]))
+
+    def _longest_unseen(self, window: Float[np.ndarray, "K 6 3"], stamps: Float[np.ndarray, " K"]) -> float:
+        """From one frame that shows a joint to the next that does, at most [s]."""
+        seen = np.isfinite(window[:, :, 0])
+        if seen.all():
+            return float(np.diff(stamps).max())
+        before = stamps[0] - self.dt  # as if the frame before the window showed everything
+        return max(float(np.diff(stamps[column], prepend=before).max()) for column in seen.T)
 
     def _status(self, last: Float[np.ndarray, "6 3"], trouble: Trouble, longest: float) -> Status:
         bones = np.array([np.linalg.norm(last[a] - last[b]) for a, b in BONE_ENDS])
@@ -130,37 +140,23 @@ class Track:
             return Status.JUMP
         if trouble & (Trouble.OCCLUDED | Trouble.LOST):
             return Status.OCCLUDED
-        if trouble & Trouble.GAP or longest > 2.5 * self.dt:
+        if longest > LONG * self.dt:
             return Status.GAP
         return Status.REPEATED if trouble & Trouble.REPEATED else Status.OK
 
 
-def _check_shapes(frame: SkeletonFrame) -> None:
-    joints = len(frame.joints)
-    if frame.positions.shape != (joints, 3) or (frame.std is not None and frame.std.shape != (joints,)):
-        std = None if frame.std is None else frame.std.shape
-        raise ValueError(f"positions {frame.positions.shape} and std {std} for {joints} joints")
+def arms_of(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
+    """(6, 3) the arm joints of a frame [m]; NaN where not seen, or where it has fewer positions than names."""
+    return _of_arms(frame.joints, np.where(frame.valid[:, None], frame.positions, np.nan))
 
 
-def _arms(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
-    """The six arm joints of a frame; NaN where it has none."""
-    arms = np.full((6, 3), np.nan)
+def _of_arms(joints: Sequence[str], values: Float[np.ndarray, "J *n"]) -> Float[np.ndarray, "6 *n"]:
+    """What there is of each arm joint; NaN where there is none."""
+    arms = np.full((6, *values.shape[1:]), np.nan)
     for row, name in enumerate(ARM_JOINTS):
-        if name in frame.joints:
-            arms[row] = frame.positions[frame.joints.index(name)]
-    arms[~np.isfinite(arms).all(axis=1)] = np.nan
+        if name in joints[: len(values)]:
+            arms[row] = values[joints.index(name)]
     return arms
-
-
-def _std(frame: SkeletonFrame) -> Float[np.ndarray, "6"]:
-    """What the frame says of its noise per arm joint [m]; 0 where it says nothing sensible."""
-    assert frame.std is not None
-    std = np.zeros(6)
-    for row, name in enumerate(ARM_JOINTS):
-        if name in frame.joints:
-            value = float(frame.std[frame.joints.index(name)])
-            std[row] = min(max(value, 0.0), 1.0) if np.isfinite(value) else 0.0
-    return std
 
 
 def _interpolate(

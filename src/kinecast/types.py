@@ -13,19 +13,6 @@ from numba import njit
 
 from kinecast.errors import OptionError
 
-__all__ = [
-    "LIMBS",
-    "Decision",
-    "Density",
-    "Obstacle",
-    "Prediction",
-    "Reaction",
-    "RobotState",
-    "SkeletonFrame",
-    "Status",
-    "Tubes",
-]
-
 LIMBS = ((0, 1), (1, 2), (3, 4), (4, 5))
 """Limbs as (start, end) columns of the six arm joints: left upper arm, left forearm, right upper arm, right forearm."""
 

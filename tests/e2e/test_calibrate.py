@@ -44,26 +44,31 @@ def picture(of: PinholeCamera, T_world_board: np.ndarray, rng: np.random.Generat
     around = of.project(apply(T_world_board, edge))[0]
     left, top = np.clip(np.floor(around.min(axis=0) - 20), 0, None).astype(int)
     width, height = np.ceil(around.max(axis=0) + 20).astype(int) - (left, top)
-    # Directions are exact at every fourth pixel, and linear between.
+    # Where a ray meets the board is exact at every fourth pixel, and linear between.
     u, v = np.meshgrid(np.arange(left, left + width + 8, 4), np.arange(top, top + height + 8, 4))
-    coarse = i.directions(np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)).reshape(*u.shape, 2)
-    x, y = np.meshgrid(*(((np.arange(n * FINE) + 0.5) / FINE - 0.5).astype(np.float32) / 4 for n in (width, height)))
-    directions = cv2.remap(coarse.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    directions = i.directions(np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)).reshape(*u.shape, 2)
     T = inverse(T_world_board) @ of.T_world_camera
     rays = directions @ T[:3, :2].T + T[:3, 2]
     reach = -T[2, 3] / rays[..., 2]
     where = (T[:2, 3] + rays[..., :2] * reach[..., None]) * 80 / BOARD.square - 0.5
-    fine = cv2.remap(face, where.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=150)
-    seen = np.full((i.height, i.width), 150.0)
+    x, y = np.meshgrid(*(((np.arange(n * FINE) + 0.5) / FINE - 0.5).astype(np.float32) / 4 for n in (width, height)))
+    where = cv2.remap(where.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    fine = cv2.remap(face, where, None, cv2.INTER_LINEAR, borderValue=150)
+    seen = np.full((i.height, i.width), 150, np.float32)
     part = cv2.resize(fine, (int(width), int(height)), interpolation=cv2.INTER_AREA)
     seen[top : top + height, left : left + width] = part[: i.height - top, : i.width - left]
-    return np.clip(0.8 * seen + 20 + rng.normal(0, 2.0, seen.shape), 0, 255).astype(np.uint8)
+    noise = 2.0 * rng.standard_normal(seen.shape, np.float32)
+    return np.clip(0.8 * seen + 20 + noise, 0, 255).astype(np.uint8)
+
+
+def written(path: Path, image: np.ndarray) -> None:
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])  # noise takes long to compress
 
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """For each camera ten pictures of its own for the lens, and eleven of a board that all see; in one it moved."""
-    root, rng = tmp_path_factory.mktemp("pictures"), np.random.default_rng(0)
+    root, rng, noise = tmp_path_factory.mktemp("pictures"), np.random.default_rng(3), np.random.default_rng(1)
     for each in CAMERAS:
         (root / each.name).mkdir()
     for k in range(11):
@@ -75,13 +80,13 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
             T = LEVEL @ transform(turn, shift * (1, -1, 1)) @ middle
         for each in CAMERAS:
             moved = T if (each.name, k) != ("right", 7) else T @ transform(np.eye(3), np.array([0.05, 0.0, 0.0]))
-            cv2.imwrite(str(root / each.name / f"{k:02d}.png"), picture(each, moved, rng))
+            written(root / each.name / f"{k:02d}.png", picture(each, moved, noise))
     for each in CAMERAS:
         for k in range(10):
             at = np.array([(-0.35, 0, 0.35)[k % 3], (-0.18, 0, 0.18)[k // 3 % 3], 1.0]) * rng.uniform(0.55, 0.75)
             turn = rng.uniform(0.25, 0.6) * np.array([np.cos(2.4 * k), np.sin(2.4 * k), 0.0])
             T = each.T_world_camera @ transform(from_rotation_vector(turn), at) @ middle
-            cv2.imwrite(str(root / each.name / f"{each.name}_{k}.png"), picture(each, T, rng))
+            written(root / each.name / f"{each.name}_{k}.png", picture(each, T, noise))
     return root
 
 

@@ -157,7 +157,7 @@ def test_a_camera_alone_opens_the_view_and_a_browser_where_there_is_a_screen(
 ) -> None:
     shown: list[str] = []
     monkeypatch.setattr("webbrowser.open", shown.append)
-    monkeypatch.setattr("kinecast.cli.live_opening._DEFAULT_PORTS", {"view": 0})
+    monkeypatch.setattr("kinecast.cli.endpoint._DEFAULT_PORTS", {"view": 0})
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

@@ -14,7 +14,7 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from kinecast.body.skeleton import MEDIAPIPE_33
 from kinecast.cameras.keypoints import overlaps
@@ -30,6 +30,7 @@ except (ImportError, OSError) as error:  # its OpenCV needs libGL
     raise OptionError(f"mediapipe cannot be loaded: {error}") from None
 
 JOINTS = MEDIAPIPE_33.joints
+_TRUNK = [JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("shoulder", "hip")]
 LARGEST_MODEL = 64 << 20  # [bytes]; the heavy one has 31 million
 MOST_PEOPLE = 4
 SAME = 0.2  # boxes that overlap by so much (intersection over union) in successive images are of one person
@@ -43,22 +44,6 @@ class Landmarks:
     pixels: Float[np.ndarray, "33 2"]  # [px]; may lie outside the image
     shape: Float[np.ndarray, "33 3"]  # from the middle of the hips [m]: x right, y down, z away from who looks at it
     confidence: Float[np.ndarray, " 33"]  # that it is seen, not hidden, 0..1
-
-    @property
-    def box(self) -> Float[np.ndarray, " 4"]:
-        """(4,) left, top, right, bottom [px] of shoulders and hips, which change least from image to image."""
-        trunk = self.pixels[
-            [JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("shoulder", "hip")]
-        ]
-        return np.concatenate([trunk.min(axis=0) - 1, trunk.max(axis=0) + 1])
-
-    def seen(self, least: float) -> Bool[np.ndarray, " 33"]:
-        """(33,) True where the confidence is enough."""
-        return self.confidence >= least
-
-
-def _blank() -> Image:
-    return Image(image_format=ImageFormat.SRGB, data=np.zeros((64, 64, 3), dtype=np.uint8))
 
 
 @contextmanager
@@ -92,7 +77,8 @@ class Landmarker:
             options = PoseLandmarkerOptions(base_options=model, running_mode=RunningMode.VIDEO, num_poses=people)
             with _quiet():
                 self._network = PoseLandmarker.create_from_options(options)
-                self._network.detect_for_video(_blank(), 0)  # the first run takes ten times as long
+                blank = Image(image_format=ImageFormat.SRGB, data=np.zeros((64, 64, 3), dtype=np.uint8))
+                self._network.detect_for_video(blank, 0)  # the first run takes ten times as long
         except (OSError, ValueError, RuntimeError) as error:
             raise ModelError(f"{path}: is no PoseLandmarker model ({error})") from None
         self._names = count()
@@ -121,9 +107,11 @@ class Landmarker:
         return people
 
     def _name(self, person: Landmarks, stamp: float, taken: set[str]) -> str:
-        """Of who was last where this person is, or a new one."""
+        """Of whose trunk was last where this person's is, or a new one."""
+        trunk = person.pixels[_TRUNK]
+        box = np.concatenate([trunk.min(axis=0) - 1, trunk.max(axis=0) + 1])
         free = [name for name in self._known if name not in taken]
-        shared = overlaps(person.box, np.array([self._known[name][0] for name in free]).reshape(-1, 4))
+        shared = overlaps(box, np.array([self._known[name][0] for name in free]).reshape(-1, 4))
         name = free[int(shared.argmax())] if len(free) and shared.max() >= SAME else str(next(self._names))
-        self._known[name] = person.box, stamp
+        self._known[name] = box, stamp
         return name

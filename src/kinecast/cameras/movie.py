@@ -2,50 +2,37 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections import deque
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from kinecast.cameras.overlay import Picture, drawn
-from kinecast.errors import MissingExtraError
-from kinecast.live.counters import SinkCounters
 from kinecast.live.publication import Publication
-
-try:
-    import cv2
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("pictures with predictions", "webcam") from error
+from kinecast.live.sinks import Writing
 
 MOST_WAITING = 30  # pictures that wait for the disc; more are dropped and counted
 DELAY = 0.1  # a picture waits so long for its prediction [s]
 RECENT = 0.2  # a prediction of a person who is not seen in the picture is drawn for so long [s]
 LONGEST = 600  # pictures by which one is repeated where a camera was silent
-LOOK = 0.05  # longest wait for a picture before looking whether to end [s]
-CLOSING = 10.0  # longest wait for the end [s]
 
 
-class Movie:
+class Movie(Writing[tuple[Picture, float]]):
     """Writes each picture at its own time; an unfinished file has another name, and none stays without a picture.
 
     A file that is at the path is replaced at the end.
     """
 
     def __init__(self, path: Path) -> None:
-        self.address, self._path = str(path), path
-        self._part = path.with_name(f"{path.stem}.part{path.suffix}")
-        self.counters = SinkCounters(self.address, "written", OSError)
-        self._pictures: queue.Queue[tuple[float, Picture]] = queue.Queue(MOST_WAITING)
+        self._path, self._part = path, path.with_name(f"{path.stem}.part{path.suffix}")
         self._published: dict[tuple[str, str], deque[Publication]] = {}
         self._lock = threading.Lock()
         self._writer: cv2.VideoWriter | None = None
         self._begun, self._written = 0.0, 0  # stamp of the first picture [s], and how many are in the file
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
-        self._thread.start()
+        super().__init__(str(path), MOST_WAITING)
 
     def publish(self, publication: Publication) -> None:
         """See kinecast.live.sinks.Sink."""
@@ -54,34 +41,12 @@ class Movie:
 
     def take(self, picture: Picture) -> None:
         """A picture that was looked at; never waits."""
-        try:
-            self._pictures.put_nowait((time.monotonic(), picture))
-        except queue.Full:
-            self.counters.drop()
+        self.put((picture, time.monotonic()), time.monotonic())
 
-    def close(self) -> None:
-        """See kinecast.live.sinks.Sink."""
-        self._closing.set()
-        self._thread.join(CLOSING)
-        if self._thread.is_alive():
-            self.counters.fail(TimeoutError(f"still writing after {CLOSING:g} s"))
-
-    def _run(self) -> None:
-        while not (self._closing.is_set() and self._pictures.empty()):
-            try:
-                came, picture = self._pictures.get(timeout=LOOK)
-            except queue.Empty:
-                continue
-            self._closing.wait(max(came + DELAY - time.monotonic(), 0.0))
-            if self.counters.attempt(self._write, picture):
-                self.counters.sent(time.monotonic() - came)
-            else:
-                self.counters.drop()
-        if self._writer is not None:
-            self._writer.release()
-            self.counters.attempt(self._part.replace, self._path)
-
-    def _write(self, picture: Picture) -> None:
+    def write(self, item: tuple[Picture, float]) -> None:
+        """Writes one, when its prediction may be there, and it again where the camera was silent."""
+        picture, came = item
+        self._closing.wait(max(came + DELAY - time.monotonic(), 0.0))
         if self._writer is None:
             size = picture.image.shape[1], picture.image.shape[0]
             self._writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*"mp4v"), picture.rate, size)
@@ -94,6 +59,12 @@ class Movie:
         for _ in range(int(np.clip(due - self._written, 0, LONGEST))):
             self._writer.write(image)
             self._written += 1
+
+    def finish(self) -> None:
+        """Gives the file its name."""
+        if self._writer is not None:
+            self._writer.release()
+            self._part.replace(self._path)
 
     def _of(self, picture: Picture) -> list[Publication]:
         """The newest of each person that is no newer than the picture."""

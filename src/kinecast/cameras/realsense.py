@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import re
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from kinecast.errors import MissingExtraError, OptionError
 from kinecast.live.clock import SourceClock
 from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
-from kinecast.live.settings import number, whole_number
+from kinecast.live.settings import numbers, picture_size, whole_number
 
 try:
     try:
@@ -146,17 +145,12 @@ class RealSenseOptions:
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> RealSenseOptions:
         """From the settings of a source, whose text is for messages; an OptionError out of range, or without model."""
-        size = re.fullmatch(r"(\d{1,4})x(\d{1,4})", settings.get("size", "848x480"))
-        if size is None or not all(0 < int(side) <= 4096 for side in size.groups()):
-            raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as 848x480")
-        detector = settings.get("detector")
         return cls(
             Path(settings["model"]) if settings.get("model") else cached_model("rtmpose-m"),
-            Path(detector) if detector else None,
-            (int(size[1]), int(size[2])),
+            Path(settings["detector"]) if settings.get("detector") else None,
+            picture_size(settings, text, "848x480"),
             whole_number(settings, "rate", cls.rate, text, 1.0, 300.0),
-            number(settings, "tilt", cls.tilt, text, -90.0, 90.0),
-            number(settings, "height", cls.height, text, -10.0, 10.0),
+            **numbers(settings, text, tilt=(-90.0, 90.0), height=(-10.0, 10.0)),
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,7 @@ from kinecast.datasets.model_cache import cached_model
 from kinecast.errors import OptionError
 from kinecast.live.detection import LEAST_CONFIDENCE, Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
-from kinecast.live.settings import choice, number, whole_number
+from kinecast.live.settings import choice, numbers, picture_size, whole_number
 
 MODEL = "pose-landmarker"
 FIELD_OF_VIEW = 65.0  # of most webcams, from the left edge to the right [deg]: makers give 60 to 70
@@ -51,12 +50,13 @@ class WebcamOptions:
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> WebcamOptions:
         """From the settings of a source, whose text is for messages; an OptionError for what does not fit."""
-        size = re.fullmatch(r"([1-9]\d{1,3})x([1-9]\d{1,3})", settings.get("size", "640x480"))
-        if size is None:
-            raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as 640x480")
+        size = picture_size(settings, text, "640x480")
         feet = choice(settings, "feet", ("floor",), text) == "floor"
-        height = number(settings, "height", cls.height, text, -10.0, 10.0)
-        if feet and height < 0.5:
+        given = numbers(
+            settings, text, rate=(1.0, 300.0), fov=(10.0, 150.0), tilt=(-90.0, 90.0), height=(-10.0, 10.0),
+            body=(0.8, 2.5), confidence=(0.0, 1.0), speed=(0.01, 100.0),
+        )  # fmt: skip
+        if feet and given.get("height", cls.height) < 0.5:
             raise OptionError(f"{text}: feet=floor needs the camera's height=, 0.5 m or more above the floor")
         if feet and "body" in settings:
             raise OptionError(f"{text}: body= and feet=floor both say how large people are: give one")
@@ -65,16 +65,10 @@ class WebcamOptions:
         return cls(
             Path(settings["model"]) if settings.get("model") else cached_model(MODEL),
             whole_number(settings, "people", cls.people, text, 1.0, float(MOST_PEOPLE)),
-            (int(size[1]), int(size[2])) if "size" in settings else None,
-            number(settings, "rate", 30.0, text, 1.0, 300.0) if "rate" in settings else None,
-            number(settings, "fov", FIELD_OF_VIEW, text, 10.0, 150.0) if "fov" in settings else None,
-            Path(settings["lens"]) if settings.get("lens") else None,
-            number(settings, "tilt", cls.tilt, text, -90.0, 90.0),
-            height,
-            number(settings, "body", 1.7, text, 0.8, 2.5) if "body" in settings else None,
-            feet,
-            number(settings, "confidence", cls.confidence, text, 0.0, 1.0),
-            number(settings, "speed", cls.speed, text, 0.01, 100.0),
+            size if "size" in settings else None,
+            lens=Path(settings["lens"]) if settings.get("lens") else None,
+            feet_on_floor=feet,
+            **given,
         )
 
     def intrinsics(self, size: tuple[int, int]) -> Intrinsics:
@@ -213,7 +207,7 @@ class WebcamSource:
 
     def _detection(self, stamp: float, name: str, person: Landmarks) -> Detection:
         """For the fusion: pixels, and no depth."""
-        seen = person.seen(self._options.confidence)
+        seen = person.confidence >= self._options.confidence
         pixels = np.where(seen[:, None], person.pixels, np.nan)
         nothing = np.full(len(JOINTS), np.nan)
         std = keypoint_std(JOINTS, person.pixels, seen)

@@ -12,8 +12,7 @@ from contextlib import suppress
 
 __all__ = ["main"]
 
-INTERRUPTED = 130
-"""As a shell reports a program ended by Ctrl-C."""
+INTERRUPTED = 130  # as a shell reports a program ended by Ctrl-C
 PATIENCE, TIMES = 2.0, 2
 """While the command goes on, Ctrl-C comes again after so long [s], so many times; then the process ends at once."""
 
@@ -32,6 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def interrupt(*_: object) -> None:
         nonlocal interrupted
         interrupted = True
+        output = sys.modules.get("kinecast.evaluation.output")
+        if arguments is None and "jaxlib" in sys.modules and not (output and output.BEING_WRITTEN):
+            _leave()  # an exception in the midst of JAX's compiler aborts the process, and there is nothing to tidy up
         raise KeyboardInterrupt
 
     def unraisable(problem: sys.UnraisableHookArgs) -> None:
@@ -39,8 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             hook(problem)
 
     hook = sys.unraisablehook
-    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler and hasattr(signal, "pthread_kill")
-    ours = ours and threading.current_thread() is threading.main_thread()
+    ours = threading.current_thread() is threading.main_thread()
+    ours = ours and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     try:
         try:
             if ours:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -85,21 +84,13 @@ def calibrate(
     print(f"rig: {out}")
 
 
-@dataclass(frozen=True)
-class _Views:
-    """What one camera saw of the board.
+class _Views(NamedTuple):
+    """What one camera saw of the board."""
 
-    Attributes:
-        corners: by the name of the picture.
-        pictures: how many there are, also without a board.
-        lens: its intrinsics.
-        error: of the lens, as the table says it.
-    """
-
-    corners: Mapping[str, Corners]
-    pictures: int
+    corners: Mapping[str, Corners]  # by the name of the picture
+    pictures: int  # how many there are, also without a board
     lens: Intrinsics
-    error: str
+    error: str  # of the lens, as the table says it
 
 
 def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
@@ -113,48 +104,53 @@ def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
             raise OptionError(f"{text}: expected NAME=FOLDER")
         if name in folders:
             raise OptionError(f"{name}: is there twice")
-        if not Path(folder).is_dir():
-            raise DatasetError(folder, "no such folder")
         folders[name] = Path(folder)
+        if not folders[name].is_dir():
+            raise DatasetError(folder, "no such folder")
     return folders
 
 
-def _views(name: str, folder: Path, board: CharucoBoard, known: PinholeCamera | None) -> _Views:
-    """What a camera saw of the board in the pictures of a folder, and its lens, found from them unless it is known."""
+def _corners(folder: Path, board: CharucoBoard) -> tuple[dict[str, Corners], int, tuple[int, int]]:
+    """What is seen of the board in the pictures of a folder, how many there are, and their width and height [px]."""
     import cv2
-
-    from kinecast.cameras.calibration import find_intrinsics
 
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
     if not 0 < len(paths) <= MOST_PICTURES:
         raise DatasetError(folder, f"{len(paths)} pictures ({', '.join(ENDINGS)}), 1 to {MOST_PICTURES} are taken")
     found: dict[str, Corners] = {}
-    width = height = 0
+    size: tuple[int, int] | None = None
     for path in paths:
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if picture is None:
             raise DatasetError(path, "no picture can be read from it")
-        if width and picture.shape != (height, width):
-            mine = f"{picture.shape[1]}x{picture.shape[0]}"
-            raise DatasetError(path, f"{mine} pixels, but those before have {width}x{height}")
-        height, width = picture.shape
-        corners = board.corners(picture)
-        if corners is not None:
+        mine = picture.shape[1], picture.shape[0]
+        size = size or mine
+        if mine != size:
+            raise DatasetError(path, "{}x{} pixels, but those before have {}x{}".format(*mine, *size))
+        if (corners := board.corners(picture)) is not None:
             found[path.stem] = corners
-    if not found:
+    if not found or size is None:
         squares = f"{board.columns}x{board.rows}"
         raise DatasetError(folder, f"a board of {squares} squares is seen in none of {len(paths)} pictures")
+    return found, len(paths), size
+
+
+def _views(name: str, folder: Path, board: CharucoBoard, known: PinholeCamera | None) -> _Views:
+    """What a camera saw of the board in the pictures of a folder, and its lens, found from them unless it is known."""
+    from kinecast.cameras.calibration import find_intrinsics
+
+    found, count, size = _corners(folder, board)
     if known is not None:
         lens = known.intrinsics
-        if (lens.width, lens.height) != (width, height):
-            lens_size = f"{lens.width}x{lens.height}"
-            raise DatasetError(folder, f"pictures of {width}x{height} pixels, but the lens is of {lens_size}")
-        return _Views(found, len(paths), lens, "given")
-    lens, error, std = find_intrinsics(name, found, (width, height))
-    if std > VAGUE * width:
+        if (lens.width, lens.height) != size:
+            problem = "pictures of {}x{} pixels, but the lens is of {}x{}"
+            raise DatasetError(folder, problem.format(*size, lens.width, lens.height))
+        return _Views(found, count, lens, "given")
+    lens, error, std = find_intrinsics(name, found, size)
+    if std > VAGUE * size[0]:
         advice = "take more pictures of a tilted board that fills much of the picture, in all its corners"
         note(f"{name}: its lens is known to {std:.0f} px only; {advice}", "yellow")
-    return _Views(found, len(paths), lens, f"{error:.2f} px")
+    return _Views(found, count, lens, f"{error:.2f} px")
 
 
 def _table(rig: Rig, views: Mapping[str, _Views], extrinsics: Extrinsics) -> list[str]:

@@ -12,9 +12,8 @@ import tyro
 from kinecast import __version__
 from kinecast.cli.calibrate import calibrate
 from kinecast.cli.convert import convert
-from kinecast.cli.demo import demo
 from kinecast.cli.download import download
-from kinecast.cli.evaluate import evaluate
+from kinecast.cli.evaluate import demo, evaluate
 from kinecast.cli.info import info
 from kinecast.cli.live import live
 from kinecast.cli.predict import predict
@@ -30,8 +29,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 BAD_INPUT = 2
-READER_GONE = 141
-"""As a shell reports a program whose output nobody reads any more."""
+READER_GONE = 141  # as a shell reports a program whose output nobody reads any more
 
 
 def run(arguments: Sequence[str]) -> None:

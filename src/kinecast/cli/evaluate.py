@@ -1,14 +1,17 @@
-"""`kinecast evaluate`: methods scored on recordings they never saw; metrics, report, table."""
+"""`kinecast evaluate`: methods scored on recordings they never saw; and `kinecast demo`, on those that come with it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.method_set import method_names, read_models, train_methods, windows_told
+from kinecast.cli.method_set import MethodSet, method_names, read_models, train_methods, windows_told
 from kinecast.cli.options import (
     Action,
     ClusterPlace,
@@ -24,12 +27,14 @@ from kinecast.cli.options import (
 )
 from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
+from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.errors import OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import every_frame
-from kinecast.tasks import Serial
+from kinecast.prediction.methods import SHIPPED
+from kinecast.tasks import Serial, Workers
 
 DEFAULT_METHODS = (
     "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,gp_xyz,gp_angles,gp_constrained,kinecast"
@@ -80,52 +85,82 @@ def evaluate(
         cluster: spread the work over a Dask cluster that you trust: a scheduler's address, or N processes of this
             machine. Scores are the same to the last bit; latencies are those of the workers.
     """
-    from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
-
-    if bool(train) == bool(model):
-        raise OptionError("give either --train with recordings or --model with saved models")
-    if model and methods != DEFAULT_METHODS:
-        raise OptionError("--methods goes with --train; a --model brings its own")
     if not 1 <= samples <= 100_000 or not 0 <= repeats <= 1000:
         raise OptionError(f"samples {samples}, repeats {repeats}; allowed are 1..100000 and 0..1000")
     check_seed(seed)
     check_folder(out)
+    names = _methods_asked(train, model, methods, ablate)
+    obstacles = None if scene is None else Scene.load(scene)
+    told = {"rate": rate, "window": window, "horizon": horizon}
+    saved = read_models(model, told) if model else None
+    options = replace(saved.windows if saved else windows_told(told), stride=stride, label=label)
+    with worker_pool(cluster) as workers:
+        tested = read_recordings(test, format, "--test")
+        recordings, facts = _cut(tested, options, workers)
+        seen = [] if saved else unseen(read_recordings(train, format, "--train"), tested)
+        compared = saved or train_methods(names, seen, options, obstacles, seed, workers)
+        compared.warn_of_known(tested)
+        facts |= {"models": compared.files, "scene": scene and scene.name, "train": compared.trained_on}
+        compared = compared.with_ablations() if ablate else compared
+        scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
+        _score(out, compared, recordings, obstacles, scores, facts, workers)
+
+
+def demo(out: Folder = Path("kinecast-demo")) -> None:
+    """Predicts the arms of real people at work, scores and draws that, and says where it all is.
+
+    Args:
+        out: folder for the report and the pictures.
+    """
+    with resources.as_file(resources.files("kinecast") / "data") as data:
+        models = tuple(data / "models" / f"{name}.npz" for name in SHIPPED)
+        evaluate((data / "clips",), out, model=models, samples=200, repeats=2)
+    print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")
+
+
+def _methods_asked(train: Sequence[Path], model: Sequence[Path], methods: str, ablate: bool) -> list[str]:
+    """Names of methods to train, where there are no models."""
+    if bool(train) == bool(model):
+        raise OptionError("give either --train with recordings or --model with saved models")
+    if model and methods != DEFAULT_METHODS:
+        raise OptionError("--methods goes with --train; a --model brings its own")
     names = method_names(methods)
     if ablate and not model and "kinecast" not in names:
         raise OptionError("--ablate takes kinecast apart: name it among --methods")
-    obstacles = None if scene is None else Scene.load(scene)
-    told = (rate, window, horizon)
-    compared = read_models(model, told) if model else None
-    options = compared.windows if compared else windows_told(told, WindowOptions())
-    options = replace(options, stride=stride, label=label)
-    with worker_pool(cluster) as workers:
-        tested = read_recordings(test, format, "--test")
-        parts = all_windows(tested, options, workers=workers)
-        histories = all_windows(tested, every_frame(options), workers=workers)
-        if compared is None:
-            seen = unseen(read_recordings(train, format, "--train"), tested)
-            compared = train_methods(names, seen, options, obstacles, seed, workers)
-        else:
-            compared.warn_of_known(tested)
-        models = {name: str(path) for name, path in zip(compared.methods, model, strict=False)}
-        if ablate:
-            compared = compared.with_ablations()
-        scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
-        said = {
-            "version": __version__,
-            "train": list(compared.trained_on),
-            "models": models,
-            **{name: getattr(options, name) for name in ("rate", "window", "horizon", "stride", "label")},
-            "scene": None if scene is None else scene.name,
-            "test": [part.name for part in parts],
-            "windows": sum(len(part) for part in parts),
-            "windows_left_out": sum(part.lost + part.not_whole for part in parts),
-        }
-        recordings = TestRecording.of(parts, histories)
-        if isinstance(workers, Serial):  # those of a cluster compile for themselves
-            with compiling():
-                warm_up(compared.methods, recordings, obstacles, scores)
-        with progress_bar("scoring") as progress:
-            metrics = run_evaluation(out, compared.methods, recordings, obstacles, scores, said, progress, workers)
+    return names
+
+
+def _cut(
+    tested: Sequence[Recording], options: WindowOptions, workers: Workers
+) -> tuple[list[TestRecording], dict[str, Any]]:
+    """Windows to be scored, and what is said of them."""
+    parts = all_windows(tested, options, workers=workers)
+    histories = all_windows(tested, every_frame(options), workers=workers)
+    facts = {name: getattr(options, name) for name in ("rate", "window", "horizon", "stride", "label")} | {
+        "version": __version__,
+        "test": [part.name for part in parts],
+        "windows": sum(len(part) for part in parts),
+        "windows_left_out": sum(part.lost + part.not_whole for part in parts),
+    }
+    return TestRecording.of(parts, histories), facts
+
+
+def _score(
+    out: Path,
+    compared: MethodSet,
+    recordings: Sequence[TestRecording],
+    scene: Scene | None,
+    options: EvaluationOptions,
+    facts: Mapping[str, Any],
+    workers: Workers,
+) -> None:
+    from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
+
+    methods = compared.methods
+    if isinstance(workers, Serial):  # those of a cluster compile for themselves
+        with compiling():
+            warm_up(methods, recordings, scene, options)
+    with progress_bar("scoring") as progress:
+        metrics = run_evaluation(out, methods, recordings, scene, options, facts, progress, workers)
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")

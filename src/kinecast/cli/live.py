@@ -10,7 +10,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,8 +25,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.predictor import Predictor, PredictorOptions
 
 if TYPE_CHECKING:
-    from kinecast.cameras.overlay import Watcher
-    from kinecast.cli.live_opening import Endpoint
+    from kinecast.cli.endpoint import Endpoint
 
 _ONCE_OR_MORE = "(once or more)"
 Texts = UseAppendAction[tuple[str, ...]]
@@ -65,14 +64,9 @@ def live(
         level: probability that each tube holds.
         seed: of the draws.
     """
-    from kinecast.cameras.fused_source import FusedSource
-    from kinecast.cli.live_display import shown, summary  # here, since network and MCAP are an extra
-    from kinecast.cli.live_opening import TakesPictures, open_sink, open_source, read_sink, read_source
+    from kinecast.cli.endpoint import opened, read_sink, read_source  # here, since network and MCAP are an extra
+    from kinecast.cli.live_display import shown, summary
     from kinecast.live.loop import Live
-    from kinecast.live.mailbox import Mailbox
-    from kinecast.live.network import Network
-    from kinecast.live.sinks import Sink
-    from kinecast.live.sources import Source
 
     check_seed(seed)
     if not 0 < level < 1:
@@ -83,42 +77,22 @@ def live(
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
     first = read_predictor(model, obstacles, options)
-    mailbox = Mailbox()
-    watchers: list[Watcher] = []
-    opened_sources: list[Source] = []
-    opened_sinks: list[Sink] = []
-    # At the end sources are closed first, then sinks, then the network that they run in.
-    with ExitStack() as last, closing(Network()) as network, ExitStack() as close_sinks, ExitStack() as close_sources:
-        last.enter_context(_logged())
-        close_sources.callback(mailbox.discard)
-        fused = None if cameras is None else FusedSource(cameras, mailbox.feed("fusion"))
-        if fused is not None:
-            opened_sources.append(close_sources.enter_context(closing(fused)))
-        for each in inputs:
-            source = open_source(each, mailbox, network, fused, watchers)
-            opened_sources.append(close_sources.enter_context(closing(source)))
-        for each in sorted(outputs, key=lambda each: each.replaces_file):
-            opened_sinks.append(close_sinks.enter_context(closing(open_sink(each, network, obstacles))))
-        watchers += [sink.take for sink in opened_sinks if isinstance(sink, TakesPictures)]
-        loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), opened_sinks, level)
+    with ExitStack() as last, _logged(), opened(inputs, outputs, cameras, obstacles) as (mailbox, comes, goes):
+        loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), goes, level)
         stop = last.enter_context(_until_told())  # until here, Ctrl-C ends it in the middle of what it opens
-        for source in opened_sources:
-            print(f"source: {source.address}")
-        for sink in opened_sinks:
-            print(f"sink: {sink.address}")
-        print("Ctrl-C ends it", flush=True)
+        said = [f"source: {source.address}" for source in comes] + [f"sink: {sink.address}" for sink in goes]
+        print("\n".join([*said, "Ctrl-C ends it"]), flush=True)
         gc.collect()
         gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
         last.callback(gc.unfreeze)
         if not sinks and record is None:
-            _open_browser(opened_sinks[0].address)
+            _open_browser(goes[0].address)
         with shown(loop):
-            for source in opened_sources:
+            for source in comes:
                 source.start()
             loop.run(stop)
     print(summary(loop))
-    failures = [sink.counters.failure for sink in opened_sinks if sink.counters.failure is not None]
-    if failures:
+    if failures := [sink.counters.failure for sink in goes if sink.counters.failure is not None]:
         raise OSError("; ".join(failures))
 
 

@@ -16,8 +16,7 @@ from kinecast.live.loop import Live
 from kinecast.live.mailbox import Feed
 from kinecast.types import Status
 
-SILENT = 0.5
-"""After so long without a frame [s] a source is said to be silent."""
+SILENT = 0.5  # after so long without a frame [s] a source is said to be silent
 PER_SECOND = 4
 
 

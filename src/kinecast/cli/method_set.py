@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -25,19 +25,13 @@ from kinecast.tasks import Workers
 
 @dataclass(frozen=True)
 class MethodSet:
-    """Methods for the same windows.
+    """Methods for the same windows."""
 
-    Attributes:
-        methods: by the name they are reported under.
-        limits: against which all their samples are counted.
-        trained_on: names of the recordings.
-        windows: what they are made for.
-    """
-
-    methods: Mapping[str, Method[Any]]
-    limits: JointLimits
-    trained_on: Sequence[str]
-    windows: WindowOptions
+    methods: Mapping[str, Method[Any]]  # by the name they are reported under
+    limits: JointLimits  # against which all their samples are counted
+    trained_on: Sequence[str]  # names of the recordings
+    windows: WindowOptions  # what they are made for
+    files: Mapping[str, str] = field(default_factory=dict)  # that they were read from, by name
 
     def with_ablations(self) -> MethodSet:
         """With, before `kinecast`, what is left of it with each stage switched off; OptionError if it is not there."""
@@ -49,9 +43,9 @@ class MethodSet:
         return replace(self, methods={**others, **parts, "kinecast": whole})
 
     def warn_of_known(self, test: Sequence[Recording]) -> None:
-        """A note where models were trained on recordings of the test recordings' names."""
+        """A note where models of files were trained on recordings of the test recordings' names."""
         known = [recording.name for recording in test if recording.name in self.trained_on]
-        if known:
+        if known and self.files:
             note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
 
 
@@ -74,8 +68,7 @@ def train_methods(
 ) -> MethodSet:
     """Methods trained on every window of recordings, as `kinecast train` does; those from elsewhere in this process.
 
-    Raises:
-        DatasetError, ModelError, OptionError: too few windows, or what a function gives is no method.
+    A DatasetError, ModelError or OptionError for too few windows, or where what a function gives is no method.
     """
     with progress_bar("cutting windows") as progress:
         data = training_windows(recordings, options, scene, progress, workers)
@@ -87,36 +80,34 @@ def train_methods(
     return MethodSet(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
 
 
-def windows_told(told: Sequence[float | None], default: WindowOptions) -> WindowOptions:
-    """Windows of the rate [Hz], window and horizon [s] told; None for those of the default."""
-    own = (default.rate, default.window, default.horizon)
-    rate, window, horizon = (mine if value is None else value for value, mine in zip(told, own, strict=True))
-    return replace(default, rate=rate, window=window, horizon=horizon)
+def windows_told(told: Mapping[str, float | None], default: WindowOptions | None = None) -> WindowOptions:
+    """Windows of the `rate` [Hz], `window` and `horizon` [s] told; None for those of the default."""
+    own: dict[str, Any] = {name: value for name, value in told.items() if value is not None}
+    return replace(default or WindowOptions(), **own)
 
 
-def read_models(paths: Sequence[Path], told: Sequence[float | None]) -> MethodSet:
-    """Saved models, at least one, all for the windows told (see `windows_told`), or else for those of the first.
+def read_models(paths: Sequence[Path], told: Mapping[str, float | None]) -> MethodSet:
+    """Saved models, at least one, all for the windows told, or else for those of the first.
 
-    Raises:
-        ModelError: a file is no model, or made for other windows.
-        OptionError: a rate, window or horizon that no model can have.
+    A ModelError where a file is no model, or made for other windows; an OptionError for windows that there are not.
     """
-    models = [(path, *read_method(path)) for path in paths]
-    cards = [card for _, card, _ in models]
+    cards, methods = zip(*map(read_method, paths), strict=True)
     first = cards[0]
     options = windows_told(told, WindowOptions(first.rate, first.frames / first.rate, first.steps / first.rate))
     wanted = (options.observed_steps, options.predicted_steps, options.rate)
     frames = "{} frames seen and {} predicted at {:g} Hz"
-    for path, card, _ in models:
+    for path, card in zip(paths, cards, strict=True):
         made = (card.frames, card.steps, card.rate)
         if made != wanted:
             raise ModelError(f"{path}: made for {frames.format(*made)}, not {frames.format(*wanted)}")
     named = [card.method for card in cards]
-    methods = {
-        f"{name} #{named[: k + 1].count(name)}" if named.count(name) > 1 else name: models[k][2]
-        for k, name in enumerate(named)
-    }
-    trained_on = sorted({name for card in cards for name in card.trained_on})
+    names = [f"{name} #{named[: k + 1].count(name)}" if named.count(name) > 1 else name for k, name in enumerate(named)]
     # The least that every constrained model keeps, else those found in training.
     held = [card.limits for card in cards if card.method == "kinecast" or card.method.endswith("_constrained")]
-    return MethodSet(methods, reduce(JointLimits.union, held or [first.limits]), trained_on, options)
+    return MethodSet(
+        dict(zip(names, methods, strict=True)),
+        reduce(JointLimits.union, held or [first.limits]),
+        sorted({name for card in cards for name in card.trained_on}),
+        options,
+        dict(zip(names, map(str, paths), strict=True)),
+    )

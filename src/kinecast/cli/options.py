@@ -78,13 +78,7 @@ def worker_pool(where: str | None) -> Iterator[Workers]:
 
 
 def check_file(out: Path, endings: tuple[str, ...], option: str = "--out") -> None:
-    """Raises OptionError unless a file can be written; one that is there will be replaced.
-
-    Args:
-        out: the file.
-        endings: of its name, any of them.
-        option: that it was given with, for the message.
-    """
+    """Raises OptionError, which names the option, unless a file of one of these endings can be written or replaced."""
     if out.suffix not in endings:
         raise OptionError(f"{option} {out}: its name must end in {' or '.join(endings)}")
     if out.is_dir():

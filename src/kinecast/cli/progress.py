@@ -14,8 +14,7 @@ from kinecast.types import Status
 
 CONSOLE = Console(stderr=True)
 
-PATIENCE = 2.0
-"""Compiling is mentioned where it takes longer than this [s]."""
+PATIENCE = 2.0  # compiling is mentioned where it takes longer than this [s]
 WIDE = 1000
 
 

@@ -16,8 +16,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-PROFILE = slice(21, 25)
-"""Where an MCAP file of ROS 2 says that it is one."""
+PROFILE = slice(21, 25)  # where an MCAP file of ROS 2 says that it is one
 BAG1_MAGIC = b"#ROSBAG V2.0"
 BAG2_START = b"rosbag2_bagfile_information"
 

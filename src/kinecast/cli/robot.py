@@ -10,9 +10,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from contextlib import closing
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 from tyro.conf import arg
@@ -21,22 +21,19 @@ from kinecast.cli.options import ModelFile, Switch, check_seed, read_predictor
 from kinecast.cli.progress import compiling
 from kinecast.errors import ArmError, OptionError
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
-from kinecast.predictor import PredictorOptions
+from kinecast.predictor import Predictor, PredictorOptions
 
 if TYPE_CHECKING:
+    from kinecast.live.mailbox import Mailbox
     from kinecast.robot.rtde import Reading
     from kinecast.robot.ur5 import UR5
     from kinecast.robot.ur_driver import UrDriver
     from kinecast.types import Prediction, SkeletonFrame
 
-WATCHED = 2.0
-"""The controller's clock is watched for so long [s]."""
-NEAR, TURNED = 0.01, 0.035
-"""Apart so far, in metres and radians, two poses of the tool are one."""
-MARGIN = 0.1
-"""From the end of a joint's range that an arm should keep [rad]."""
-STEP = 0.008
-"""Of the supervisor's control [s]; a faster controller is led there in a straight line."""
+WATCHED = 2.0  # the controller's clock is watched for so long [s]
+NEAR, TURNED = 0.01, 0.035  # apart so far, in metres and radians, two poses of the tool are one
+MARGIN = 0.1  # from the end of a joint's range that an arm should keep [rad]
+STEP = 0.008  # of the supervisor's control [s]; a faster controller is led there in a straight line
 
 DriverName = Annotated[str, arg(name="driver", metavar="ur:HOST", help="the arm; ur:HOST:PORT where it is not 30004.")]
 SourceName = Annotated[
@@ -67,13 +64,11 @@ def robot(
         samples: motions drawn per prediction.
         seed: of the draws.
     """
-    from kinecast.robot.rtde import PORT
-    from kinecast.robot.ur5 import UR5  # here, since the robot is an extra
+    from kinecast.cli.endpoint import opened, read_source  # here, since network and robot are extras
+    from kinecast.robot.ur5 import UR5
     from kinecast.robot.ur_driver import UrDriver
 
-    found = re.fullmatch(r"ur:([^:/]+|\[[^\]/]+\])(?::(\d{1,5}))?", driver)
-    if found is None or int(found[2] or PORT) > 65535:
-        raise OptionError(f"--driver {driver}: expected ur:HOST or ur:HOST:PORT")
+    host, port = _address(driver)
     if dry_run == move:
         raise OptionError("either --dry-run, which checks and moves nothing, or --move, with which the arm moves")
     if move and source is None:
@@ -81,13 +76,8 @@ def robot(
     check_seed(seed)
     if not np.isfinite(base).all():
         raise OptionError(f"--base {' '.join(map(str, base))}: must be finite")
-    host, port, arm = found[1].strip("[]"), int(found[2] or PORT), UR5()
-    checks = check_arm(arm, host, port)
-    for check in checks:
-        print(f"{'ok ' if check.passed else 'NOT'}  {check.name:8}  {check.text}")
-    failed = [check.name for check in checks if not check.passed]
-    if failed:
-        raise ArmError(f"{driver}: the arm may not move: {', '.join(failed)}")
+    arm = UR5()
+    check_arm(arm, host, port)
     if dry_run:
         print("nothing was written, nothing has moved")
         return
@@ -95,18 +85,32 @@ def robot(
     turn = from_rotation_vector(np.array([0.0, 0.0, np.radians(base[3])]))
     with compiling():
         warm_up(samples)
-    people = People(source, transform(turn, np.array(base[:3])), model, PredictorOptions(samples=samples, seed=seed))
-    with closing(people), closing(UrDriver(arm, host, port, gripper)) as opened:
+    predictor = read_predictor(model, None, PredictorOptions(samples=samples, seed=seed))
+    T_base_world = inverse(transform(turn, np.array(base[:3])))
+    with (
+        opened([read_source(source)], []) as (mailbox, (people, *_), _),
+        closing(People(mailbox, predictor, T_base_world)) as watched,
+        closing(UrDriver(arm, host, port, gripper)) as ur,
+    ):
+        people.start()
         print("the arm moves; Ctrl-C stops it", flush=True)
-        for line in episode(arm, opened, people):
+        for line in episode(arm, ur, watched):
             print(line, flush=True)
-        print(opened.counters)
-        if opened.status.name != "OK":
-            raise ArmError(f"{driver}: {opened.status.name}: {opened.status.value}")
+        print(ur.counters)
+        if ur.status.name != "OK":
+            raise ArmError(f"{driver}: {ur.status.name}: {ur.status.value}")
 
 
-@dataclass(frozen=True)
-class Check:
+def _address(driver: str) -> tuple[str, int]:
+    from kinecast.robot.rtde import PORT
+
+    found = re.fullmatch(r"ur:([^:/]+|\[[^\]/]+\])(?::(\d{1,5}))?", driver)
+    if found is None or int(found[2] or PORT) > 65535:
+        raise OptionError(f"--driver {driver}: expected ur:HOST or ur:HOST:PORT")
+    return found[1].strip("[]"), int(found[2] or PORT)
+
+
+class Check(NamedTuple):
     """One thing that must be in order before an arm may move."""
 
     name: str
@@ -114,8 +118,11 @@ class Check:
     text: str
 
 
-def check_arm(arm: UR5, host: str, port: int) -> list[Check]:
-    """Looks at an arm for two seconds without writing anything to it; ArmError where it cannot be reached."""
+def check_arm(arm: UR5, host: str, port: int) -> None:
+    """Looks at an arm for two seconds without writing anything to it, and says what is in order.
+
+    An ArmError where it cannot be reached, or may not move.
+    """
     from kinecast.robot.rtde import Rtde
     from kinecast.robot.ur_driver import trouble
 
@@ -134,7 +141,7 @@ def check_arm(arm: UR5, host: str, port: int) -> list[Check]:
     version = ".".join(map(str, rtde.version[:3]))
     kind = "CB3" if rtde.rate < 200 else "e-Series"
     problem = trouble(last)
-    return [
+    checks = [
         Check("software", True, f"{version} ({kind}), {rtde.rate:g} cycles a second"),
         _clock(readings, arrivals, rtde.rate),
         Check("state", problem is None, "kinecast_ur.script waits" if problem is None else problem.value),
@@ -142,6 +149,10 @@ def check_arm(arm: UR5, host: str, port: int) -> list[Check]:
         _limits(arm, last),
         _tool(arm, last),
     ]
+    for check in checks:
+        print(f"{'ok ' if check.passed else 'NOT'}  {check.name:8}  {check.text}")
+    if failed := [check.name for check in checks if not check.passed]:
+        raise ArmError(f"ur:{host}:{port}: the arm may not move: {', '.join(failed)}")
 
 
 def _clock(readings: list[Reading], arrivals: list[float], rate: float) -> Check:
@@ -166,7 +177,7 @@ def _limits(arm: UR5, reading: Reading) -> Check:
 
 def _tool(arm: UR5, reading: Reading) -> Check:
     """Whether the controller puts the tool where this model of the arm does: tells another arm, tool or base frame."""
-    T = inverse(arm.T_world_base) @ arm.forward_kinematics(reading.q)
+    T = arm.forward_kinematics(reading.q)
     R = from_rotation_vector(reading.tool[3:])
     apart = np.linalg.norm(reading.tool[:3] - T[:3, 3])
     turned = np.linalg.norm(rotation_vector(T[:3, :3].T @ R))
@@ -176,32 +187,14 @@ def _tool(arm: UR5, reading: Reading) -> Check:
 
 
 class People:
-    """Predictions of whoever a source shows, in the frame of the arm's base and on this computer's clock.
+    """Predictions of whoever comes into a mailbox, in the frame of the arm's base and on this computer's clock."""
 
-    Args:
-        source: as of `kinecast live`.
-        T_world_base: the arm's base in the frame of the skeletons.
-        model, options: of the predictor.
-    """
-
-    def __init__(self, source: str, T_world_base: np.ndarray, model: ModelFile, options: PredictorOptions) -> None:
-        from kinecast.cli.live_opening import open_source, read_source
-        from kinecast.live.mailbox import Mailbox
-        from kinecast.live.network import Network
-
-        self._T_base_world, self._mailbox, self._ended = inverse(T_world_base), Mailbox(), threading.Event()
-        self._predictor = read_predictor(model, None, options)
+    def __init__(self, mailbox: Mailbox, predictor: Predictor, T_base_world: np.ndarray) -> None:
+        self._mailbox, self._predictor, self._T_base_world = mailbox, predictor, T_base_world
+        self._ended = threading.Event()
         self._seen: deque[tuple[SkeletonFrame, Prediction]] = deque(maxlen=8)
-        self._closing = ExitStack()
-        with ExitStack() as closing_:
-            network = closing_.enter_context(closing(Network()))
-            opened = closing_.enter_context(closing(open_source(read_source(source), self._mailbox, network, None)))
-            opened.start()
-            thread = threading.Thread(target=self._watch, name=source, daemon=True)
-            thread.start()
-            closing_.callback(thread.join, 5.0)
-            closing_.callback(self._ended.set)
-            self._closing = closing_.pop_all()
+        self._thread = threading.Thread(target=self._watch, name="people", daemon=True)
+        self._thread.start()
 
     @property
     def ended(self) -> bool:
@@ -209,8 +202,9 @@ class People:
         return self._mailbox.finished and not self._seen
 
     def close(self) -> None:
-        """Ends the source."""
-        self._closing.close()
+        """Looks no more."""
+        self._ended.set()
+        self._thread.join(5.0)
 
     def seen(self) -> Iterator[tuple[SkeletonFrame, Prediction]]:
         """What has come since the last call; never waits."""
@@ -218,17 +212,16 @@ class People:
             yield self._seen.popleft()
 
     def _watch(self) -> None:
+        T, R = self._T_base_world, self._T_base_world[:3, :3]
         while not self._ended.is_set():
-            arrival = self._mailbox.take(0.1)
-            if arrival is not None:
-                frame = self._in_base(replace(arrival.frame, stamp=arrival.acquired))
+            if (arrival := self._mailbox.take(0.1)) is not None:
+                frame = arrival.frame
+                covariance = None if frame.covariance is None else R @ frame.covariance @ R.T
+                positions = apply(T, frame.positions)
+                frame = replace(
+                    frame, stamp=arrival.acquired, positions=positions, covariance=covariance, frame_id="cell"
+                )
                 self._seen.append((frame, self._predictor.observe(frame, time.monotonic())))
-
-    def _in_base(self, frame: SkeletonFrame) -> SkeletonFrame:
-        T, covariance = self._T_base_world, frame.covariance
-        R = T[:3, :3]
-        turned = None if covariance is None else R @ covariance @ R.T
-        return replace(frame, positions=apply(T, frame.positions), covariance=turned, frame_id="cell")
 
 
 def warm_up(samples: int) -> None:
@@ -250,7 +243,6 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
     from kinecast.robot.execution import Executor
     from kinecast.robot.planner import Planner
     from kinecast.robot.planning_desk import ThreadDesk
-    from kinecast.robot.simulation import QUICK
     from kinecast.robot.supervisor import Supervisor
     from kinecast.robot.ur_driver import ArmStatus
 
@@ -264,7 +256,7 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
 
     per_step = max(round(STEP / driver.dt), 1)
     q = driver.state().q
-    with closing(ThreadDesk(Chooser(Planner(arm, cell.scene, QUICK), cell).choose)) as desk:
+    with closing(ThreadDesk(Chooser(Planner(arm, cell.scene), cell).choose)) as desk:
         supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), desk)
         closed, newest = driver.state().closed, 0.0
         driver.resume()

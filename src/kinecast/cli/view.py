@@ -6,11 +6,10 @@ from pathlib import Path
 
 from kinecast.cli.simulate import SimulationConfig, closing_table, sentence
 from kinecast.errors import OptionError
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.collaboration import PREDICTORS, SCENARIOS
-from kinecast.robot.occupancy import OccupancyOptions
 from kinecast.robot.outcome import outcome_of
 from kinecast.robot.simulation import Simulation
-from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.types import Decision
 from kinecast.view.playback import Setting, Simulations
 from kinecast.view.viewer import Viewer
@@ -37,8 +36,8 @@ def serve(host: str, port: int, scenario: str, predictor: str, config: Simulatio
 
     def make(setting: Setting) -> Simulation:
         print(f"{setting.scenario}, {setting.predictor}, {100 * setting.level:g} %", flush=True)
-        options = SupervisorOptions(occupancy=OccupancyOptions(level=setting.level))
-        return config.simulation(played[setting.scenario], setting.predictor, options)
+        body = OccupancyOptions(level=setting.level)
+        return config.simulation(played[setting.scenario], setting.predictor, body)
 
     def tell(decision: Decision) -> None:
         print(sentence(decision), flush=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -19,20 +18,6 @@ from kinecast.geometry.transforms import from_y_up
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 _MOST_JOINTS = 1000
-
-
-@dataclass(frozen=True)
-class BvhOptions:
-    """What a BVH file does not state."""
-
-    metres_per_unit: float = 0.01  # length of the file's unit [m]; 0.01 for centimetres
-    up: Literal["y", "z"] = "y"  # the file's vertical axis
-
-    def __post_init__(self) -> None:
-        if not 0 < self.metres_per_unit <= 1000:
-            raise OptionError(f"metres_per_unit is {self.metres_per_unit}, expected more than 0 and at most 1000")
-        if self.up not in ("y", "z"):
-            raise OptionError(f"up is {self.up!r}, expected 'y' or 'z'")
 
 
 @dataclass
@@ -50,12 +35,14 @@ def matches(path: Path) -> bool:
     return path.is_file() and head(path).lstrip().startswith(b"HIERARCHY")
 
 
-CENTIMETRES_Y_UP = BvhOptions()
-"""What most BVH files mean."""
+def load(path: Path, metres_per_unit: float = 0.01, up: str = "y") -> list[Recording]:
+    """One motion, named as its file, of the joints whose names are known; the notes say how many are left out.
 
-
-def load(path: Path, options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
-    """One motion, named as its file, of the joints whose names are known; the notes say how many are left out."""
+    The file does not state its unit [m] and its vertical axis, `y` or `z`: most are in centimetres, y up. An
+    OptionError where they are none.
+    """
+    if not (0 < metres_per_unit <= 1000 and up in ("y", "z")):
+        raise OptionError(f"metres_per_unit {metres_per_unit} is outside 0..1000, or up {up!r} neither 'y' nor 'z'")
     text = read_bytes(path)
     motion = re.search(rb"(?m)^[ \t]*MOTION[ \t\r]*$", text)
     if not motion:
@@ -70,14 +57,14 @@ def load(path: Path, options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
     if not set(ARM_JOINTS) <= set(found):
         raise DatasetError(path, f"no known names of both arms' joints; the joints are {', '.join(named)}")
     kept = {place: joint for joint, place in sorted(found.items(), key=lambda item: item[1])}
-    positions = _positions(joints, table)[:, list(kept)] * options.metres_per_unit
+    positions = _positions(joints, table)[:, list(kept)] * metres_per_unit
     others = len(named) - len(kept)
     return [
         Recording(
             name=base_name(path),
             joints=tuple(kept.values()),
             stamps=np.arange(len(table)) * step,
-            positions=from_y_up(positions) if options.up == "y" else positions,
+            positions=from_y_up(positions) if up == "y" else positions,
             rate=1.0 / step,
             source=path,
             format="bvh",

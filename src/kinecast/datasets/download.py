@@ -10,11 +10,11 @@ import shutil
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from http.client import HTTPException
-from importlib.resources import files
+from importlib import resources
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
@@ -34,28 +34,13 @@ UNSAFE = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
 
 
 @dataclass(frozen=True)
-class PublicSet:
-    """A set of recordings, or a model, on the net."""
-
-    name: str
-    about: str  # one line
-    licence: str
-    home: str  # page to read first: licence and how to cite
-    url: str  # its files stand under it; of its record where there is no list of files
-    files: Mapping[str, Mapping[str, str | int]] | None
-    """Name to sha256 and bytes, from verified copies; None for a Zenodo record, which lists its own."""
-    model: Mapping[str, str | int] | None = None
-    """Name, sha256 and bytes of the network that is the file, or in it (model_cache); None of recordings."""
-
-
-@dataclass(frozen=True)
 class RemoteFile:
     """A file somewhere else: the relative path it is stored under, with `/`, and `sha256:…` or `md5:…` of its bytes."""
 
     name: str
-    url: str
     checksum: str
     size: int
+    url: str = ""  # empty: its name, under the address of its set
 
     def is_at(self, path: Path) -> bool:
         """Whether the bytes at a path have its checksum."""
@@ -64,10 +49,28 @@ class RemoteFile:
             return hashlib.file_digest(file, kind).hexdigest() == expected
 
 
+@dataclass(frozen=True)
+class PublicSet:
+    """A set of recordings, or a model, on the net."""
+
+    name: str
+    about: str  # one line
+    licence: str
+    home: str  # page to read first: licence and how to cite
+    url: str  # its files stand under it; of its record where there is no list of files
+    files: tuple[RemoteFile, ...] | None  # None for a Zenodo record, which lists its own
+    model: RemoteFile | None = None  # the network that is the file, or in it (model_cache); None of recordings
+
+
 def public_sets() -> dict[str, PublicSet]:
     """The sets `download` knows, by name."""
-    table = json.loads((files("kinecast") / "data" / "downloads.json").read_text(encoding="utf-8"))
-    return {name: PublicSet(name, **entry) for name, entry in table.items()}
+    sets = {}
+    table = json.loads((resources.files("kinecast") / "data" / "downloads.json").read_text(encoding="utf-8"))
+    for name, entry in table.items():
+        files, model = entry.pop("files"), entry.pop("model", None)
+        listed = files and tuple(RemoteFile(**file) for file in files)
+        sets[name] = PublicSet(name, **entry, files=listed, model=model and RemoteFile(**model))
+    return sets
 
 
 def download(
@@ -99,8 +102,12 @@ def download(
     known = public_sets()
     if name not in known:
         raise OptionError(f"no public set {name!r}; there are {', '.join(known)}")
-    listed = _record if known[name].files is None else _table
-    remotes = [file for file in listed(known[name], url or known[name].url) if fnmatchcase(file.name, only)]
+    address, listed = url or known[name].url, known[name].files
+    listed = _record(known[name], address) if listed is None else listed
+    base = address.removesuffix("/") + "/"
+    remotes = [
+        replace(file, url=file.url or base + quote(file.name)) for file in listed if fnmatchcase(file.name, only)
+    ]
     if not remotes:
         raise DownloadError(f"{name}: no file matches {only!r}")
     root = Path(folder)
@@ -135,16 +142,7 @@ def _target(root: Path, name: str) -> Path:
     return target
 
 
-def _table(public: PublicSet, url: str) -> list[RemoteFile]:
-    """The files of kinecast's own list."""
-    base = url.removesuffix("/") + "/"
-    return [
-        RemoteFile(name, base + quote(name), f"sha256:{facts['sha256']}", int(facts["bytes"]))
-        for name, facts in (public.files or {}).items()
-    ]
-
-
-def _record(public: PublicSet, url: str) -> list[RemoteFile]:
+def _record(public: PublicSet, url: str) -> tuple[RemoteFile, ...]:
     """The files of a Zenodo record, with the checksums its API states."""
     try:
         with _open(url, {"Accept": "application/json"}) as response:
@@ -158,10 +156,10 @@ def _record(public: PublicSet, url: str) -> list[RemoteFile]:
     try:
         record = json.loads(content)
         access = record["metadata"].get("access_right", "open")
-        remotes = [
-            RemoteFile(str(f["key"]), str(f["links"]["self"]), str(f["checksum"]), int(f["size"]))
+        remotes = tuple(
+            RemoteFile(str(f["key"]), str(f["checksum"]), int(f["size"]), str(f["links"]["self"]))
             for f in record["files"]
-        ]
+        )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise DownloadError(f"{public.name}: {url} did not answer with a record and its files") from None
     if access != "open":
@@ -203,8 +201,8 @@ def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], pat
 
 def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], patience: float) -> None:
     """Bytes appended to a file until all are there; gives up when connections break again and again."""
-    failures = 0
-    while (before := part.stat().st_size) != remote.size:
+    failures, most = 0, part.stat().st_size
+    while part.stat().st_size != remote.size:
         problem = "connection closed"
         try:
             _gather_once(remote, part, advance)
@@ -213,7 +211,7 @@ def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], pati
         except (OSError, HTTPException) as error:
             problem = str(getattr(error, "reason", None) or error) or type(error).__name__
         present = part.stat().st_size
-        failures = 1 if present > before else failures + 1
+        failures, most = 1 if present > most else failures + 1, max(most, present)
         if present != remote.size and failures >= ATTEMPTS:
             kept = f"{present} of {remote.size} bytes are kept: the same command continues there."
             raise DownloadError(f"{remote.name}: {problem} ({remote.url}). {kept}")

@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +14,6 @@ import numpy as np
 
 from kinecast.body.skeleton import ARM_JOINTS, require_arms
 from kinecast.datasets import andy, bvh, ha4m, kth_handover, lego, mvnx, table, vicon
-from kinecast.datasets.bvh import CENTIMETRES_Y_UP, BvhOptions
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 
@@ -41,26 +39,24 @@ class Format:
     """Every recording in it; DatasetError, with file and line, where anything is not as the format has it."""
 
 
-def _formats(options: BvhOptions) -> tuple[Format, ...]:
-    """Every format, in the order they are tried: folders, then andy before the mvnx it contains."""
-    return (
-        Format("kth-handover", kth_handover.matches, kth_handover.load),
-        Format("ha4m", ha4m.matches, ha4m.load),
-        Format("ha4m-features", ha4m.matches_features, ha4m.load_features),
-        Format("andy", andy.matches, andy.load),
-        Format("mvnx", mvnx.matches, mvnx.load),
-        Format("bvh", bvh.matches, partial(bvh.load, options=options)),
-        Format("vicon", vicon.matches, vicon.load),
-        Format("table", table.matches, table.load),
-        Format("lego", lego.matches, lego.load),
-    )
+_FORMATS = (
+    Format("kth-handover", kth_handover.matches, kth_handover.load),
+    Format("ha4m", ha4m.matches, ha4m.load),
+    Format("ha4m-features", ha4m.matches_features, ha4m.load_features),
+    Format("andy", andy.matches, andy.load),
+    Format("mvnx", mvnx.matches, mvnx.load),
+    Format("bvh", bvh.matches, bvh.load),
+    Format("vicon", vicon.matches, vicon.load),
+    Format("table", table.matches, table.load),
+    Format("lego", lego.matches, lego.load),
+)
+"""In the order they are tried: folders, then andy before the mvnx it contains."""
 
-
-FORMATS = tuple(sorted(each.name for each in _formats(CENTIMETRES_Y_UP)))
+FORMATS = tuple(sorted(each.name for each in _FORMATS))
 """Names of the formats, as `load` takes them."""
 
 
-def load(path: str | Path, format: str | None = None, bvh_options: BvhOptions = CENTIMETRES_Y_UP) -> list[Recording]:
+def load(path: str | Path, format: str | None = None) -> list[Recording]:
     """Every recording in a file, or in a folder and all folders in it; at least one, by path, of unique names.
 
     Hidden files and those that match no format are passed over.
@@ -68,13 +64,12 @@ def load(path: str | Path, format: str | None = None, bvh_options: BvhOptions = 
     Args:
         path: the file or folder.
         format: one of `FORMATS`; None to find it by content.
-        bvh_options: unit and vertical axis of BVH files.
 
     Raises:
         DatasetError: nothing is found, a file does not match its format, or a recording fails `check`.
         OptionError: the format is unknown.
     """
-    return load_all([path], format, bvh_options)
+    return load_all([path], format)
 
 
 CLIPS = ("pick_and_place", "handover")
@@ -98,7 +93,6 @@ def shipped_clips() -> list[Recording]:
 def load_all(
     paths: Sequence[str | Path],
     format: str | None = None,
-    bvh_options: BvhOptions = CENTIMETRES_Y_UP,
     progress: Callable[[int, int], None] | None = None,
     more: Sequence[Format] = (),
 ) -> list[Recording]:
@@ -107,10 +101,10 @@ def load_all(
     What lies in one of the folders is one collection; of a file, what lies beside it. `progress` is called
     with (done, total) files; `more` are formats beside `FORMATS`.
     """
-    known = (*_formats(bvh_options), *more)
-    if format is not None and format not in {each.name for each in known}:
-        raise OptionError(f"format is {format!r}, expected one of {', '.join(sorted({each.name for each in known}))}")
+    known = (*_FORMATS, *more)
     formats = [each for each in known if format in (None, each.name)]
+    if not formats:
+        raise OptionError(f"format is {format!r}, expected one of {', '.join(sorted(each.name for each in known))}")
     sources: dict[Path, tuple[Path, Format]] = {}
     collection: dict[Path, str] = {}
     for path in map(Path, paths):
@@ -123,8 +117,7 @@ def load_all(
         if not found and format is not None and path.is_file():
             found = [(path, formats[0])]  # its loader knows best what does not match
         if not found:
-            tried = ", ".join(dict.fromkeys(each.name for each in formats))
-            raise DatasetError(path, f"no recording found; formats tried: {tried}")
+            raise DatasetError(path, f"no recording found; formats tried: {', '.join(each.name for each in formats)}")
         named = path.resolve() if path.is_dir() else path.resolve().parent
         sources |= {source.resolve(): (source, each) for source, each in found}
         collection |= {source: named.name for source, _ in found}

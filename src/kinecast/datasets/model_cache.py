@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import zipfile
 import zlib
@@ -10,10 +11,8 @@ from pathlib import Path
 
 from rich.progress import Progress
 
-from kinecast.datasets.download import CHUNK, PublicSet, RemoteFile, download, public_sets
+from kinecast.datasets.download import PublicSet, RemoteFile, download, public_sets
 from kinecast.errors import DownloadError, OptionError
-
-__all__ = ["cache_folder", "cached_model", "fetch_model"]
 
 FOLDER = "KINECAST_MODELS"
 """Environment variable that names another folder."""
@@ -32,7 +31,7 @@ def cache_folder() -> Path:
 
 def cached_model(name: str) -> Path:
     """The file of a model that was downloaded before; an OptionError with the command where it was not."""
-    path = cache_folder() / _model(name).name
+    path = cache_folder() / _model(name)[1].name
     if not path.is_file():
         raise OptionError(f"the model {name} is not there ({path}); fetch it once with: kinecast download {name}")
     return path
@@ -55,7 +54,7 @@ def fetch_model(
         OptionError: no such model.
         DownloadError: see `download`; or the archive does not hold the model. Nothing half-written has its name.
     """
-    model, public = _model(name), public_sets()[name]
+    public, model = _model(name)
     path = folder / model.name
     if path.is_file() and model.is_at(path):
         return path
@@ -78,23 +77,18 @@ def _unpack(archive: Path, part: Path, model: RemoteFile) -> None:
     """Writes the one entry of an archive whose size and ending are the model's; an OSError where it is another."""
     with zipfile.ZipFile(archive) as opened:
         ending = Path(model.name).suffix
-        entries = [
-            each for each in opened.infolist() if each.filename.endswith(ending) and each.file_size == model.size
-        ]
-        if len(entries) != 1:
-            raise DownloadError(f"holds {len(entries)} files *{ending} of {model.size} bytes, expected one")
-        with opened.open(entries[0]) as content, part.open("wb") as file:
-            while chunk := content.read(CHUNK):
-                file.write(chunk)
+        found = [each for each in opened.infolist() if each.filename.endswith(ending) and each.file_size == model.size]
+        if len(found) != 1:
+            raise DownloadError(f"holds {len(found)} files *{ending} of {model.size} bytes, expected one")
+        with opened.open(found[0]) as content, part.open("wb") as file:
+            shutil.copyfileobj(content, file)
     if not model.is_at(part):
         raise DownloadError(f"what it holds is not {model.name}: its checksum differs from {model.checksum}")
 
 
-def _model(name: str) -> RemoteFile:
-    """The model's own file, which may come in an archive."""
-    known: dict[str, PublicSet] = {each.name: each for each in public_sets().values() if each.model}
+def _model(name: str) -> tuple[PublicSet, RemoteFile]:
+    """A public model, and its own file, which may come in an archive."""
+    known = {each.name: (each, each.model) for each in public_sets().values() if each.model}
     if name not in known:
         raise OptionError(f"no model {name!r}; there are {', '.join(known)}")
-    facts = known[name].model
-    assert facts is not None
-    return RemoteFile(str(facts["name"]), "", f"sha256:{facts['sha256']}", int(facts["bytes"]))
+    return known[name]

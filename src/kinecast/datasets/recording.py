@@ -25,8 +25,8 @@ class Recording:
     source: Path | None = None  # file or folder it came from; None for generated ones
     format: str = "generated"  # name of the format it was read from, e.g. "vicon"
     person: str = "0"  # id of the person within the source
-    subject: str = ""  # id of the person across sources, "" where unknown; splits by subject use it
-    task: str = ""  # what is being done, "" where unknown; splits by task use it
+    subject: str = ""  # id of the person across sources, "" where unknown
+    task: str = ""  # what is being done, "" where unknown
     labels: tuple[str, ...] | None = None  # one per frame
     collection: str = ""  # what it was loaded with: recordings of one sensor at one place; training weighs them
     notes: tuple[str, ...] = ()  # what a user must know, e.g. "rate not stated by the format; 30 Hz assumed"
@@ -116,10 +116,9 @@ class Description:
 def describe(recording: Recording) -> Description:
     """What a recording is beside its frames."""
     r = recording
-    source = None if r.source is None else str(r.source)
     return Description(
-        r.name, r.person, list(r.joints), r.rate, source, r.format, r.subject, r.task, list(r.notes),
-        labelled=r.labels is not None,
+        r.name, r.person, list(r.joints), r.rate, str(r.source) if r.source else None, r.format, r.subject,
+        r.task, list(r.notes), labelled=r.labels is not None,
     )  # fmt: skip
 
 

@@ -26,8 +26,6 @@ class RepairReport:
     """The `kinecast.body.tracking.Flaw` of each value as recorded."""
     interpolated: Bool[np.ndarray, "N J"]
     """True where the value is not the recorded one but interpolated."""
-    removed: Bool[np.ndarray, "N J"]
-    """True where a recorded value was cut out and is now NaN."""
 
 
 def repair(recording: Recording) -> tuple[Recording, RepairReport]:
@@ -37,5 +35,4 @@ def repair(recording: Recording) -> tuple[Recording, RepairReport]:
     """
     flaws = find_flaws(recording.positions, recording.stamps)
     filled, interpolated = fill(recording.positions, recording.stamps, flaws, MAX_GAP)
-    repaired = replace(recording, positions=filled)
-    return repaired, RepairReport(flaws, interpolated, recording.valid & ~repaired.valid)
+    return replace(recording, positions=filled), RepairReport(flaws, interpolated)

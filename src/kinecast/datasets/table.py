@@ -87,18 +87,16 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
     persons = [recording.person for recording in recordings]
     if not recordings or len(set(persons)) < len(persons):
         raise DatasetError(path, f"persons {persons}: a table holds one recording of each person, and at least one")
-    frames, counts = zip(*(each.positions.shape[:2] for each in recordings), strict=True)
-    width = np.repeat(counts, frames)
-    joints = Words.of(joint for recording in recordings for joint in recording.joints)
-    places = np.split(joints.codes, np.cumsum(counts)[:-1])
+    frames, joints = zip(*(each.positions.shape[:2] for each in recordings), strict=True)
+    width = np.repeat(joints, frames)
     labels = [label for each, n in zip(recordings, frames, strict=True) for label in each.labels or [None] * n]
     labelled = any(recording.labels is not None for recording in recordings)
     write_rows(
         path,
         Rows(
             stamp=np.repeat(np.concatenate([recording.stamps for recording in recordings]), width),
-            person=Words.of(persons, np.multiply(frames, counts)),
-            joint=Words(joints.names, np.concatenate([np.tile(*each) for each in zip(places, frames, strict=True)])),
+            person=Words.of(persons, np.multiply(frames, joints)),
+            joint=Words.of(joint for each, n in zip(recordings, frames, strict=True) for joint in each.joints * n),
             position=np.concatenate([recording.positions.reshape(-1, 3) for recording in recordings]),
             label=Words.of(labels, width) if labelled else None,
             metadata={"world": _WORLD, "recordings": [asdict(describe(recording)) for recording in recordings]},
@@ -116,7 +114,11 @@ def load(path: Path) -> list[Recording]:
         DatasetError: the file is no table; or a row repeats, lacks its stamp, person or joint, or is of a
             person or joint the metadata does not name.
     """
-    rows = read_rows(path)
+    return recordings_of(read_rows(path), path)
+
+
+def recordings_of(rows: Rows, path: Path) -> list[Recording]:
+    """As `load`, of rows that were read from the path."""
     if rows.metadata is None or "recordings" not in rows.metadata:
         _require_complete(rows, path)
         return [_recording(rows, _inferred(rows, person, path), path) for person in rows.person.names]
@@ -193,14 +195,10 @@ def _labels(
 
 def write_rows(path: Path, rows: Rows) -> None:
     """Write a table; the file appears whole or not at all. Raises as `write`."""
-    optional = {"label": rows.label, "made": rows.made}
-    covariance = () if rows.covariance is None else rows.covariance.T
-    columns: dict[str, Any] = {
-        "stamp": rows.stamp, "person": rows.person, "joint": rows.joint,
-        **dict(zip(_POSITION, rows.position.T, strict=True)),
-        **dict(zip(_COVARIANCE, covariance, strict=False)),
-        **{name: column for name, column in optional.items() if column is not None},
-    }  # fmt: skip
+    columns: dict[str, Any] = {"stamp": rows.stamp, "person": rows.person, "joint": rows.joint}
+    columns |= zip(_POSITION, rows.position.T, strict=True)
+    columns |= () if rows.covariance is None else zip(_COVARIANCE, rows.covariance.T, strict=True)
+    columns |= {name: column for name in ("label", "made") if (column := getattr(rows, name)) is not None}
     metadata = json.dumps(rows.metadata or {}, allow_nan=False).encode()
     if path.suffix not in (".parquet", ".csv"):
         raise OptionError(f"a table is written as .parquet or .csv, not {path.name!r}")
@@ -245,8 +243,13 @@ def read_rows(path: Path) -> Rows:
         MissingExtraError: parquet without the extra.
         DatasetError: the file is no table, lacks a column, holds another type in one, or has too many rows.
     """
-    is_parquet = head(path).startswith(_PARQUET_MAGIC)
-    columns, metadata = _read_parquet(path) if is_parquet else _read_csv(path)
+    columns, text = (_read_parquet if head(path).startswith(_PARQUET_MAGIC) else _read_csv)(path)
+    try:
+        metadata = None if text is None else json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(path, f"metadata is not JSON: {error}") from error
+    if not isinstance(metadata, dict | None):
+        raise DatasetError(path, "metadata is not a JSON object")
     covariance = [columns[name] for name in _COVARIANCE if name in columns]
     return Rows(
         stamp=columns["stamp"],
@@ -256,18 +259,8 @@ def read_rows(path: Path) -> Rows:
         covariance=np.stack(covariance, axis=-1) if len(covariance) == len(_COVARIANCE) else None,
         label=columns.get("label"),
         made=columns.get("made"),
-        metadata=None if metadata is None else _metadata(metadata, path),
+        metadata=metadata,
     )
-
-
-def _metadata(text: bytes, path: Path) -> dict[str, Any]:
-    try:
-        metadata = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise DatasetError(path, f"metadata is not JSON: {error}") from error
-    if not isinstance(metadata, dict):
-        raise DatasetError(path, "metadata is not a JSON object")
-    return metadata
 
 
 def _require_columns(names: Sequence[str], path: Path) -> None:

@@ -144,10 +144,34 @@ def segment_distance(row: np.ndarray, start: Point, end: Point) -> float:
 
 @njit(cache=True)
 @no_type_check
+def point_distance(row: np.ndarray, p: Point) -> tuple[float, Point]:
+    """Signed distance [m] of a point to one obstacle, exact, and its gradient, of length 1."""
+    if row[0] == HALF_SPACE:
+        return _height(row, p), (row[4], row[5], row[6])
+    a = _local(row, p)
+    x, y, z = _excess(a[0], row[13]), _excess(a[1], row[14]), _excess(a[2], row[15])
+    distance = math.sqrt(x * x + y * y + z * z)
+    if distance * distance > TOUCHING:
+        x, y, z = x / distance, y / distance, z / distance
+    else:  # inside: out through the nearest face
+        u, v, w = abs(a[0]) - row[13], abs(a[1]) - row[14], abs(a[2]) - row[15]
+        distance = max(u, v, w)
+        x = math.copysign(1.0, a[0]) if u == distance else 0.0
+        y = math.copysign(1.0, a[1]) if x == 0.0 and v == distance else 0.0
+        z = math.copysign(1.0, a[2]) if x == 0.0 and y == 0.0 else 0.0
+    return distance - row[16], (
+        row[4] * x + row[5] * y + row[6] * z,
+        row[7] * x + row[8] * y + row[9] * z,
+        row[10] * x + row[11] * y + row[12] * z,
+    )
+
+
+@njit(cache=True)
+@no_type_check
 def _nearest(
     rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
 ) -> None:
-    """`half` (T, O, 3) are half widths of upright boxes around the obstacles: most limbs lie beyond them."""
+    """`half` (T, O, 3) are half widths of upright boxes around obstacles, of half-spaces inf: most limbs are off."""
     for s in range(out.shape[0]):
         for t in range(out.shape[1]):
             for k in range(out.shape[2]):
@@ -157,20 +181,14 @@ def _nearest(
                 nearest = math.nan if math.isnan(ax + ay + az + bx + by + bz) else most
                 for o in range(rows.shape[1]):
                     cx, cy, cz = rows[t, o, 1], rows[t, o, 2], rows[t, o, 3]
-                    if rows[t, o, 0] == HALF_SPACE:
-                        nx, ny, nz = rows[t, o, 4], rows[t, o, 5], rows[t, o, 6]
-                        distance = nx * (ax - cx) + ny * (ay - cy) + nz * (az - cz)
-                        other = nx * (bx - cx) + ny * (by - cy) + nz * (bz - cz)
-                        distance = other if other < distance else distance
-                    else:
-                        x, y, z = half[t, o, 0] + nearest, half[t, o, 1] + nearest, half[t, o, 2] + nearest
-                        if (
-                            (ax - cx > x and bx - cx > x) or (cx - ax > x and cx - bx > x)
-                            or (ay - cy > y and by - cy > y) or (cy - ay > y and cy - by > y)
-                            or (az - cz > z and bz - cz > z) or (cz - az > z and cz - bz > z)
-                        ):  # fmt: skip
-                            continue
-                        distance = segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz))
+                    x, y, z = half[t, o, 0] + nearest, half[t, o, 1] + nearest, half[t, o, 2] + nearest
+                    if (
+                        (ax - cx > x and bx - cx > x) or (cx - ax > x and cx - bx > x)
+                        or (ay - cy > y and by - cy > y) or (cy - ay > y and cy - by > y)
+                        or (az - cz > z and bz - cz > z) or (cz - az > z and cz - bz > z)
+                    ):  # fmt: skip
+                        continue
+                    distance = segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz))
                     if distance < nearest:
                         nearest = distance
                 out[s, t, k] = nearest

@@ -62,10 +62,11 @@ class _Loader(yaml.SafeLoader):
         node = super().compose_node(parent, index)  # type: ignore[arg-type]
         self.depth -= 1
         if isinstance(node, yaml.MappingNode):
-            keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            for i, key in enumerate(keys):
-                if key.value in {earlier.value for earlier in keys[:i]}:
+            found: set[str] = set()
+            for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+                if key.value in found:
                     raise self._refuse(key.start_mark, f"`{key.value[:40]}` is given twice")
+                found.add(key.value)
         return node
 
 
@@ -82,10 +83,8 @@ class Entry:
         """The mapping a YAML text is, of nothing but these keys.
 
         Raises:
-            DatasetError: unsafe types, aliases, repeated keys, deep nesting, or too long.
+            DatasetError: unsafe types, aliases, repeated keys, or deep nesting.
         """
-        if len(text) > MAXIMUM_BYTES:
-            raise DatasetError(where, f"at most {MAXIMUM_BYTES} characters are read, found {len(text)}")
         try:
             loader = _Loader(text)
             loader.where = where

@@ -18,17 +18,7 @@ from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.distances import ROW, limb_distances
 from kinecast.geometry.entries import Entry, built, read_text
 from kinecast.geometry.regions import Regions
-from kinecast.geometry.shapes import (
-    Box,
-    Capsule,
-    ConstantVelocity,
-    HalfSpace,
-    MovingObstacle,
-    Shape,
-    Sphere,
-    Vector,
-    Waypoints,
-)
+from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Shape, Sphere, Waypoints
 from kinecast.geometry.transforms import from_quaternion, rotation_z
 
 MAXIMUM_ENTRIES = 1000
@@ -96,15 +86,6 @@ class Scene:
         if not self.obstacles:
             return np.empty((len(times), 0, ROW))
         return np.stack([obstacle.rows(times) for obstacle in self.obstacles], axis=1)
-
-    def signed_distance(
-        self, points: Float[np.ndarray, "*batch T J 3"], times: Times
-    ) -> Float[np.ndarray, "*batch T J"]:
-        """Distance (…, T, J) [m] of each point (…, T, J, 3) to the nearest obstacle where it is at that point's time.
-
-        It is > 0 free, negative inside; inf without obstacles, NaN where a coordinate is NaN.
-        """
-        return limb_distances(self.rows(times), points, np.arange(points.shape[-2])[:, None].repeat(2, axis=1))
 
     def clearance(self, poses: Float[np.ndarray, "*batch T 6 3"], times: Times) -> Float[np.ndarray, "*batch T"]:
         """(…, T) distance [m] from the nearest limb to the nearest obstacle, > 0 free; inf without obstacles.
@@ -178,7 +159,7 @@ def _goal(entry: Entry) -> Sphere | Box:
     return Box(entry.vector("center", 3, "m"), entry.vector("size", 3, "m"), _rotation(entry))
 
 
-def _moving(entry: Entry, at: Callable[[Vector], Shape]) -> Obstacle:
+def _moving(entry: Entry, at: Callable[[Float[np.ndarray, " 3"]], Shape]) -> Obstacle:
     """A shape at its center, or on its way if that is given point by point."""
     if "waypoints" not in entry.values:
         return _gliding(entry, at(entry.vector("center", 3, "m")))
@@ -188,8 +169,9 @@ def _moving(entry: Entry, at: Callable[[Vector], Shape]) -> Obstacle:
     points = entry.children("waypoints")
     for point in points:
         point.only("time", "position")
-    times = np.array([point.number("time", "s", limit=1e12) for point in points])  # epoch stamps fit
-    path = Waypoints(times, np.array([point.vector("position", 3, "m") for point in points]).reshape(-1, 3))
+    times = [point.number("time", "s", limit=1e12) for point in points]  # epoch stamps fit
+    positions = [point.vector("position", 3, "m") for point in points]
+    path = Waypoints(np.array(times), np.array(positions).reshape(-1, 3))
     return MovingObstacle(at(path.positions[0]), path)
 
 

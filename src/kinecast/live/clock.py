@@ -6,8 +6,7 @@ import math
 
 WINDOW = 15.0
 """The least lag is sought over one to two of these [s]; clocks that drift 50 ppm apart part by 1.5 ms in that time."""
-JUMP = 1.0
-"""Stamps that move against arrivals by more than this [s] are another clock, or a stall."""
+JUMP = 1.0  # stamps that move against arrivals by more than this [s] are another clock, or a stall
 CONFIRM = 1.0
 """A lag that grew by more than `JUMP` and stays for this long [s] is another clock; until then it is a stall."""
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 import numpy as np
 
-BIN = 0.5e-3
-"""Width of a bin of latencies [s]: how exactly a percentile is known."""
-BINS = 4000
-"""The last one holds all that took longer."""
+BIN = 0.5e-3  # width of a bin of latencies [s]: how exactly a percentile is known
+BINS = 4000  # the last one holds all that took longer
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +48,13 @@ class SinkCounters:
         else:
             return True
         return False
+
+    def deliver(self, action: Callable[..., object], item: object, acquired: float) -> None:
+        """Calls it with what was acquired then [s], and counts that as sent or dropped."""
+        if self.attempt(action, item):
+            self.sent(time.monotonic() - acquired)
+        else:
+            self.drop()
 
     def fail(self, error: Exception) -> None:
         """Nothing more is tried."""

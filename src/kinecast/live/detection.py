@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-LEAST_CONFIDENCE = 0.3
-"""Below it a joint is not taken as seen: the threshold from which mmpose draws one by default."""
+LEAST_CONFIDENCE = 0.3  # below it a joint is not taken as seen: the threshold from which mmpose draws one by default
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from kinecast.live.sinks import Sink
 from kinecast.predictor import Predictor
 from kinecast.types import Status
 
-LOOK = 0.1
-"""Longest wait for a frame before looking whether to end [s]."""
+LOOK = 0.1  # longest wait for a frame before looking whether to end [s]
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from kinecast.types import SkeletonFrame
 
-QUIET = 5.0
-"""Between two lines in the log about one source [s]."""
+QUIET = 5.0  # between two lines in the log about one source [s]
 
 log = logging.getLogger(__name__)
 

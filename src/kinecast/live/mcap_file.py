@@ -19,19 +19,17 @@ from mcap.writer import CompressionType, Writer
 
 from kinecast import __version__
 from kinecast.datasets.files import STREAM_LIMIT, WHOLE_LIMIT
-from kinecast.datasets.recording import Description, Recording, describe
+from kinecast.datasets.recording import Recording, describe
 from kinecast.errors import DatasetError
 from kinecast.live.foxglove import scene_update, skeleton_update
-from kinecast.live.message_file import labelled_frames, message, recordings_of
+from kinecast.live.message_file import Said, labelled_frames, message, read, recordings_of
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import FileSink
 
-PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"
-"""Topics."""
+PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"  # topics
 _SCHEMAS = {PREDICTIONS: "kinecast.Prediction", SKELETONS: "kinecast.Skeleton", SCENE: "foxglove.SceneUpdate"}
 METADATA, RECORDINGS = "kinecast", "recordings"
-LATEST = 2**63 - 1
-"""Latest time that a reader in another language can hold [ns]."""
+LATEST = 2**63 - 1  # latest time that a reader in another language can hold [ns]
 
 
 def schema(name: str) -> dict[str, Any]:
@@ -66,7 +64,8 @@ class _JsonWriter:
 class McapSink(FileSink):
     """Writes predictions; a log time is when the frame was acquired, a publish time when the message was written."""
 
-    def begin(self) -> None:
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
         self._unix_less_monotonic = time.time() - time.monotonic()
         self._writer = _JsonWriter(self.file, PREDICTIONS)
 
@@ -82,10 +81,7 @@ class McapSink(FileSink):
 def write(path: Path, recordings: Sequence[Recording]) -> None:
     """Writes recordings of different persons so that `load` gives them back bit for bit.
 
-    A message's log time is its stamp, or 0 where that is before 1970.
-
-    Raises:
-        OSError: the file cannot be written.
+    A message's log time is its stamp, or 0 where that is before 1970. An OSError where the file cannot be written.
     """
     with path.open("wb") as file:
         writer = _JsonWriter(file, SKELETONS)
@@ -100,11 +96,10 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 def load(path: Path) -> list[Recording]:
     """One recording for each person, of skeletons or of predictions; those of `write` come back bit for bit.
 
-    Raises:
-        DatasetError: damaged, too large, or without either topic; or as `recordings_of`.
+    A DatasetError for a file that is damaged, too large, or without either topic; or as `recordings_of`.
     """
-    messages: list[tuple[str, bytes]] = []
-    descriptions: list[Description] = []
+    messages: list[bytes] = []
+    described: list[dict[str, Any]] = []
     channels: dict[int, str] = {}
     held = 0
     try:
@@ -114,19 +109,20 @@ def load(path: Path) -> list[Recording]:
             if isinstance(record, Channel):
                 channels[record.id] = record.topic if record.message_encoding == "json" else ""
             elif isinstance(record, Metadata) and record.name == METADATA:
-                descriptions = [Description(**each) for each in json.loads(record.metadata[RECORDINGS])]
+                described = list(json.loads(record.metadata[RECORDINGS]))
             elif isinstance(record, Message) and channels.get(record.channel_id) in (SKELETONS, PREDICTIONS):
                 held += len(record.data)
                 if held > WHOLE_LIMIT:
                     raise DatasetError(path, f"messages larger than the limit of {WHOLE_LIMIT >> 20} MiB")
-                messages.append((f"{path}, message {len(messages) + 1}", record.data))
+                messages.append(record.data)
     except DatasetError:
         raise
     except Exception as error:  # a foreign file can fail in any way
         raise DatasetError(path, f"damaged MCAP file: {error or type(error).__name__}") from None
     if not messages:
         raise DatasetError(path, f"nothing on {SKELETONS} or {PREDICTIONS}")
-    return recordings_of(messages, path, "mcap", descriptions)
+    places = ((f"{path}, message {number}", content) for number, content in enumerate(messages, 1))
+    return recordings_of((Said(where, *read(where, content)) for where, content in places), path, "mcap", described)
 
 
 def _records(path: Path) -> Iterator[object]:

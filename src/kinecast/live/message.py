@@ -13,17 +13,13 @@ from kinecast.errors import DatasetError
 from kinecast.live.detection import Detection
 from kinecast.types import SkeletonFrame
 
-LARGEST_MESSAGE = 65_536
-"""Bytes of one message; 33 joints as JSON take about 3000."""
+LARGEST_MESSAGE = 65_536  # bytes of one message; 33 joints as JSON take about 3000
 MOST_JOINTS = 128
-LONGEST_NAME = 64
-"""Characters of a joint's, person's or coordinate frame's name."""
-LONGEST_QUOTE = 200
-"""Characters of what a message is quoted with in the log."""
+LONGEST_NAME = 64  # characters of a joint's, person's or coordinate frame's name
+LONGEST_QUOTE = 200  # characters of what a message is quoted with in the log
 LATEST_STAMP = 1e11
 """Largest believable stamp [s]: Unix time in seconds is 1.8e9, in milliseconds 1.8e12, in nanoseconds 1.8e18."""
-FARTHEST = 10_000.0
-"""Largest believable coordinate [m], as in recordings."""
+FARTHEST = 10_000.0  # largest believable coordinate [m], as in recordings
 
 
 class MessageError(ValueError):
@@ -83,15 +79,11 @@ def person_of(message: SkeletonMessage) -> SkeletonFrame | Detection:
         raise MessageError(f"stamp {message.stamp:g} is no time in seconds")
     if (message.positions is None) == (message.pixels is None):
         raise MessageError("expected either positions or pixels")
-    return skeleton_frame(message) if message.pixels is None else _view(message, message.pixels)
+    return skeleton_frame(message) if message.pixels is None else _detection(message, message.pixels)
 
 
 def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
-    """The frame that a message's positions describe; see `decode`.
-
-    Raises:
-        MessageError: they describe none.
-    """
+    """The frame that a message's positions describe; a MessageError where they describe none. See `decode`."""
     rows = message.positions or []
     columns, joints = _columns(message, len(rows), "positions")
     if any(len(rows[column]) != 3 for column in columns):
@@ -101,34 +93,31 @@ def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
     if farthest > FARTHEST:
         raise MessageError(f"a position is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
     positions[~np.isfinite(positions).all(axis=1)] = np.nan
-    std = None if message.std is None else _of_each(message, "std", len(rows), "positions")[list(columns)]
+    std = None if message.std is None else _of_each("std", message.std, len(rows), "positions")[list(columns)]
     if std is not None and (std < 0).any():
         raise MessageError("std is below 0")
-    person, frame_id = _name(str(message.person), "person"), _name(message.frame_id, "frame_id")
+    person, frame_id = name_in("person", str(message.person)), name_in("frame_id", message.frame_id)
     return SkeletonFrame(float(message.stamp), joints, positions, person, frame_id, std)
 
 
-def _view(message: SkeletonMessage, rows: list[list[float | None] | None]) -> Detection:
+def _detection(message: SkeletonMessage, rows: list[list[float | None] | None]) -> Detection:
     columns, joints = _columns(message, len(rows), "pixels")
     if any(row is not None and len(row) != 2 for row in rows):
         raise MessageError("a pixel is not two numbers")
     pixels = np.array([row or (None, None) for row in rows], dtype=np.float64)
     each = {
-        name: _of_each(message, name, len(rows), "pixels", missing)[list(columns)]
-        for name, missing in (("pixel_std", np.nan), ("depth", np.nan), ("depth_std", np.nan), ("confidence", 1.0))
+        name: np.full(len(columns), 1.0 if name == "confidence" else np.nan)
+        if (values := getattr(message, name)) is None
+        else _of_each(name, values, len(rows), "pixels")[list(columns)]
+        for name in ("pixel_std", "depth", "depth_std", "confidence")
     }
-    camera = _name(message.camera, "camera") if message.camera else ""
-    person = _name(str(message.person), "person")
+    camera = name_in("camera", message.camera) if message.camera else ""
+    person = name_in("person", str(message.person))
     return Detection(float(message.stamp), camera, joints, pixels[list(columns)], **each, person=person)
 
 
-def _of_each(
-    message: SkeletonMessage, name: str, rows: int, of: str, missing: float = np.nan
-) -> Float[np.ndarray, " N"]:
-    """A field with one number for each row; null is NaN, and all are `missing` without the field."""
-    values: list[float | None] | None = getattr(message, name)
-    if values is None:
-        return np.full(rows, missing)
+def _of_each(name: str, values: list[float | None], rows: int, of: str) -> Float[np.ndarray, " N"]:
+    """A field with one number for each row; null is NaN."""
     if len(values) != rows:
         raise MessageError(f"{len(values)} {name} for {rows} {of}")
     return np.array(values, dtype=np.float64)
@@ -147,26 +136,27 @@ def _known_columns(
 ) -> tuple[tuple[int, ...], tuple[str, ...]]:
     if skeleton is not None and skeleton not in _SKELETONS:
         raise MessageError(f"skeleton {_short(skeleton)!r} is unknown; known are {', '.join(_SKELETONS)}")
-    known = _CANONICAL if skeleton is None else _SKELETONS[skeleton]
     if names is None and skeleton is None:
         raise MessageError("neither joints nor skeleton say which joint each row is of")
-    if len(known.joints if names is None else names) != rows:
-        raise MessageError(f"{rows} rows for {len(known.joints if names is None else names)} joints")
-    canonical = known.joints if names is None else tuple(known.find(_name(name, "joint")) for name in names)
-    columns = tuple(column for column, joint in enumerate(canonical) if joint is not None)
-    joints = tuple(joint for joint in canonical if joint is not None)
+    known = _CANONICAL if skeleton is None else _SKELETONS[skeleton]
+    canonical = known.joints if names is None else tuple(known.find(name_in("joint", name)) for name in names)
+    if len(canonical) != rows:
+        raise MessageError(f"{rows} rows for {len(canonical)} joints")
+    used = {column: joint for column, joint in enumerate(canonical) if joint is not None}
+    joints = tuple(used.values())
     if len(set(joints)) < len(joints):
         raise MessageError(f"joint {next(joint for joint in joints if joints.count(joint) > 1)} is there twice")
     try:
         require_arms(joints, "joints")
     except DatasetError as error:
         raise MessageError(_short(str(error))) from None
-    return columns, joints
+    return tuple(used), joints
 
 
-def _name(text: str, what: str) -> str:
+def name_in(field: str, text: str) -> str:
+    """A name as it was sent; a MessageError where it is none."""
     if not 0 < len(text) <= LONGEST_NAME or not text.isprintable():
-        raise MessageError(f"{what} {_short(text)!r}: 1 to {LONGEST_NAME} printable characters are taken")
+        raise MessageError(f"{field} {_short(text)!r}: 1 to {LONGEST_NAME} printable characters are taken")
     return text
 
 

@@ -6,25 +6,26 @@ Predictions hold the arms they rest on, as measured: that is what is read from t
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.datasets.files import MOST_POINTS, base_name, chunks
-from kinecast.datasets.recording import Description, Recording
-from kinecast.datasets.resampling import measured_rate
+from kinecast.datasets import table
+from kinecast.datasets.files import MOST_POINTS, chunks
+from kinecast.datasets.recording import Recording
+from kinecast.datasets.table import Rows, Words
 from kinecast.errors import DatasetError
 from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, person_of
 from kinecast.pipeline import frames
 from kinecast.types import SkeletonFrame
 
-LONGEST_LINE = 1 << 20
-"""Bytes of one message; a prediction of 300 steps has 400,000."""
+LONGEST_LINE = 1 << 20  # bytes of one message; a prediction of 300 steps has 400,000
 ROUNDED = "arms as `kinecast live` saw them, to 0.1 mm"
 
 
@@ -35,15 +36,6 @@ class _Message(SkeletonMessage, gc=False):
     label: str | None = None
     source: str = ""
     observed: list[list[float | None]] | None = None
-
-
-@dataclass
-class _Track:
-    """One person's frames, as they come."""
-
-    frames: list[SkeletonFrame] = field(default_factory=list)
-    labels: list[str | None] = field(default_factory=list)
-    late: int = 0
 
 
 def labelled_frames(recordings: Sequence[Recording]) -> Iterator[tuple[SkeletonFrame, str | None]]:
@@ -74,61 +66,74 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 
 
 def load(path: Path) -> list[Recording]:
-    """One recording for each person, of lines of skeletons or of predictions.
+    """One recording for each person, of lines of skeletons or of predictions; a DatasetError for other lines."""
+    return recordings_of((Said(where, *read(where, line)) for where, line in _lines(path)), path, "jsonl")
 
-    Raises:
-        DatasetError: a line is neither, or a person's stamps do not increase.
-    """
-    return recordings_of(_lines(path), path, "jsonl")
+
+class Said(NamedTuple):
+    """A frame that was read."""
+
+    where: str  # for errors
+    frame: SkeletonFrame
+    source: str | None = None  # of the prediction that it was read from
+    label: str | None = None
 
 
 def recordings_of(
-    messages: Iterable[tuple[str, bytes]], path: Path, format: str, descriptions: Sequence[Description] = ()
+    found: Iterable[Said], path: Path, format: str, described: Sequence[Mapping[str, Any]] = ()
 ) -> list[Recording]:
-    """One recording for each person in messages.
+    """One recording for each person in frames; fields of `Description` say what is known of each.
 
-    Args:
-        messages: each one's place, for errors, and its JSON.
-        path, format: of the file.
-        descriptions: of the recordings, where they are known.
-
-    Raises:
-        DatasetError: a message is neither skeleton nor prediction, or a person's stamps do not increase.
+    A DatasetError where there is none, a person's stamps do not increase, or predictions and skeletons are mixed.
     """
-    tracks: dict[tuple[str, str], _Track] = {}
-    predicted: bool | None = None
+    kept: list[tuple[tuple[str, str], Said]] = []
+    newest: dict[tuple[str, str], float] = {}
+    late: Counter[tuple[str, str]] = Counter()
     points = 0
-    for where, content in messages:
-        frame, source, label = _read(where, content)
-        if predicted not in (None, source is not None):
-            raise DatasetError(where, "predictions and skeletons in one file")
-        predicted = source is not None
-        track = tracks.setdefault((source or "", frame.person), _Track())
-        if track.frames and frame.stamp <= track.frames[-1].stamp:
+    for each in found:
+        frame, key = each.frame, (each.source or "", each.frame.person)
+        predicted = each.source is not None
+        if kept and predicted != (kept[0][1].source is not None):
+            raise DatasetError(each.where, "predictions and skeletons in one file")
+        if frame.stamp <= newest.get(key, -np.inf):
             if not predicted:
-                raise DatasetError(where, f"stamp {frame.stamp} s does not come after {track.frames[-1].stamp} s")
-            track.late += 1
+                raise DatasetError(each.where, f"stamp {frame.stamp} s does not come after {newest[key]} s")
+            late[key] += 1
             continue
         points += len(frame.joints)
         if points > MOST_POINTS:
-            raise DatasetError(where, f"more than {MOST_POINTS} positions")
-        track.frames.append(frame)
-        track.labels.append(label)
-    if descriptions:
-        known = {description.person: description for description in descriptions}
-        missing = {person for _, person in tracks} ^ set(known)
-        if missing:
-            raise DatasetError(path, f"person {min(missing)!r} is in the metadata or in the messages alone")
-        return [_recording(tracks["", person], known[person]) for person in known]
-    sources = {source for source, _ in tracks}
-    persons = [f"{source}/{person}" if len(sources) > 1 else person for source, person in tracks]
+            raise DatasetError(each.where, f"more than {MOST_POINTS} positions")
+        newest[key] = frame.stamp
+        kept.append((key, each))
+    if not kept:
+        raise DatasetError(path, "no frame")
+    several = len({source for source, _ in newest}) > 1
+    persons = {key: "/".join(key) if several else key[1] for key in newest}
+    frames, sizes = [each.frame for _, each in kept], np.array([len(each.frame.joints) for _, each in kept])
+    rows = Rows(
+        stamp=np.repeat([frame.stamp for frame in frames], sizes),
+        person=Words.of([persons[key] for key, _ in kept], sizes),
+        joint=Words.of(joint for frame in frames for joint in frame.joints),
+        position=np.concatenate([frame.positions for frame in frames]),
+        label=Words.of([each.label for _, each in kept], sizes),
+        metadata={"recordings": described} if described else None,
+    )
+    recordings = table.recordings_of(rows, path)
+    if described:
+        return recordings
+    notes = {persons[key]: [f"{late[key]} frames that came late or twice left out"] * (late[key] > 0) for key in newest}
     return [
-        _recording(track, _inferred(track, path, format, person, len(tracks) == 1, bool(predicted)))
-        for person, track in zip(persons, tracks.values(), strict=True)
+        replace(
+            each,
+            format=format,
+            rate=float(f"{each.rate:.9g}"),  # not what rounding of the stamps makes of it
+            notes=(*each.notes, *[ROUNDED] * (kept[0][1].source is not None), *notes[each.person]),
+        )
+        for each in recordings
     ]
 
 
-def _read(where: str, content: bytes) -> tuple[SkeletonFrame, str | None, str | None]:
+def read(where: str, content: bytes) -> tuple[SkeletonFrame, str | None, str | None]:
     """A message's skeleton; its source where it is a prediction; its label."""
     try:
         found = msgspec.json.decode(content, type=_Message)
@@ -143,37 +148,6 @@ def _read(where: str, content: bytes) -> tuple[SkeletonFrame, str | None, str | 
     if not isinstance(frame, SkeletonFrame):
         raise DatasetError(where, "pixels of one camera; a recording needs positions in metres")
     return frame, found.source[:LONGEST_NAME] if predicted else None, found.label
-
-
-def _inferred(track: _Track, path: Path, format: str, person: str, alone: bool, predicted: bool) -> Description:
-    """What is not stated: the rate from the stamps, the name from the file."""
-    if len(track.frames) < 2:
-        raise DatasetError(path, f"{len(track.frames)} frame of person {person!r}; at least 2 tell the rate")
-    stamps = np.array([frame.stamp for frame in track.frames])
-    rate = float(f"{measured_rate(stamps):.9g}")  # not what rounding of the stamps makes of it
-    notes = [f"rate not stated; {rate:.6g} Hz from the stamps"]
-    if predicted:
-        notes.append(ROUNDED)
-    if track.late:
-        notes.append(f"{track.late} frames that came late or twice left out")
-    name = base_name(path) if alone else f"{base_name(path)}/{person}"
-    joints = list(dict.fromkeys(joint for frame in track.frames for joint in frame.joints))
-    return Description(name, person, joints, rate, str(path), format, "", "", notes)
-
-
-def _recording(track: _Track, about: Description) -> Recording:
-    """A track's frames, NaN for joints that one does not name."""
-    places = {joint: place for place, joint in enumerate(about.joints)}
-    unknown = {joint for frame in track.frames for joint in frame.joints} - set(places)
-    if unknown:
-        raise DatasetError(about.name, f"joint {min(unknown)!r} is not in the metadata")
-    positions: Float[np.ndarray, "N J 3"] = np.full((len(track.frames), len(places), 3), np.nan)
-    for row, frame in zip(positions, track.frames, strict=True):
-        row[[places[joint] for joint in frame.joints]] = frame.positions
-    labelled = set(track.labels) != {None} if about.labelled is None else about.labelled
-    stamps = np.array([frame.stamp for frame in track.frames])
-    labels = tuple(label or "" for label in track.labels) if labelled else None
-    return about.recording(stamps, positions, labels)
 
 
 def _lines(path: Path) -> Iterator[tuple[str, bytes]]:

@@ -6,26 +6,24 @@ import asyncio
 import logging
 import re
 import threading
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
 from websockets.typing import Origin
 
 from kinecast.errors import OptionError
 
 LOOPBACK = "127.0.0.1"
-MOST_CLIENTS = 16
-"""WebSocket clients of one source or sink."""
-TRY_LATER = 1013
-"""Close code of RFC 6455."""
+MOST_CLIENTS = 16  # webSocket clients of one source or sink
+TOO_BIG, TRY_LATER = 1009, 1013  # close codes of RFC 6455
 _LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 OWN_PAGES: list[Origin | re.Pattern[str] | None] = [None, _LOCAL]
 """Programs, and web pages served by this machine: any other page open in a browser here must not listen or lie."""
-GOODBYE, CLOSING = 2.0, 5.0
-"""Seconds that a client has to say goodbye, and that closing takes at the most."""
+GOODBYE, CLOSING = 2.0, 5.0  # seconds that a client has to say goodbye, and that closing takes at the most
 
 _T = TypeVar("_T")
 
@@ -40,11 +38,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str, default: int | None = None) -> Address:
-        """From `SCHEME://HOST:PORT`; without a host it is the loopback, without a port the default, if there is one.
-
-        Raises:
-            OptionError: it is no such address.
-        """
+        """From `SCHEME://HOST:PORT`, else an OptionError; no host is the loopback, no port the default, if any."""
         try:
             parts = urlsplit(text)
             port = default if parts.port is None else parts.port
@@ -106,21 +100,19 @@ async def _cancel_others() -> None:
 class WebSocketServer:
     """A WebSocket server with the limits of every source and sink, at its address at once, or an OptionError.
 
-    Args:
-        address: where; with port 0 the attribute has the one it really listens at.
-        network: that it runs in.
-        handler: called for every client.
-        largest: bytes of a message; a client that sends more is disconnected.
+    With port 0 its attribute `address` has the port it really listens at. A client that sends a message with more bytes
+    than the largest is disconnected.
     """
 
-    def __init__(
-        self, address: Address, network: Network, handler: Callable[[ServerConnection], Awaitable[None]], largest: int
-    ) -> None:
+    def __init__(self, address: Address, network: Network, largest: int) -> None:
+        self.clients: set[ServerConnection] = set()
+        self.network, self._largest = network, largest
+        quiet = logging.getLogger("kinecast.websockets")  # what clients do wrong is counted, not traced
+        quiet.setLevel(logging.CRITICAL)
+
         async def opening() -> Server:
-            quiet = logging.getLogger("kinecast.websockets")  # what clients do wrong is counted, not traced
-            quiet.setLevel(logging.CRITICAL)
             return await serve(
-                handler,
+                self._attend,
                 address.host,
                 address.port,
                 origins=OWN_PAGES,
@@ -131,10 +123,17 @@ class WebSocketServer:
                 logger=quiet,
             )
 
-        self._network = network
         self._server = network.open(address, opening())
         port = int(next(iter(self._server.sockets)).getsockname()[1])
         self.address = str(Address(address.scheme, address.host, port))
+
+    async def listen(self, client: ServerConnection) -> None:
+        """Takes what a client says, until it goes; here it is passed over."""
+        async for _ in client:
+            pass
+
+    def refuse(self, problem: str) -> None:
+        """What is said of a client that is too many, or says too much; here nothing."""
 
     def close(self) -> None:
         """Says goodbye to clients and stops listening."""
@@ -143,4 +142,18 @@ class WebSocketServer:
             self._server.close()
             await self._server.wait_closed()
 
-        self._network.finish(closing())
+        self.network.finish(closing())
+
+    async def _attend(self, client: ServerConnection) -> None:
+        if len(self.clients) >= MOST_CLIENTS:
+            self.refuse(f"more than {MOST_CLIENTS} clients")
+            await client.close(TRY_LATER, "too many clients")
+            return
+        self.clients.add(client)
+        try:
+            await self.listen(client)
+        except ConnectionClosed as end:
+            if end.sent is not None and end.sent.code == TOO_BIG:
+                self.refuse(f"a message above {self._largest} bytes; its client is disconnected")
+        finally:
+            self.clients.discard(client)

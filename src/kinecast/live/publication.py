@@ -9,14 +9,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.track import arms_of
 from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
 _GREEN, _AMBER, _RED = (0.25, 0.75, 0.35), (0.95, 0.65, 0.15), (0.9, 0.2, 0.2)
-UPPER_TRIANGLE = np.triu_indices(3)
-"""Rows and columns of xx, xy, xz, yy, yz, zz in a covariance."""
-TENTH_OF_MILLIMETRE = 4
-"""Decimals of a position in metres; twice as many for a variance."""
+UPPER_TRIANGLE = np.triu_indices(3)  # rows and columns of xx, xy, xz, yy, yz, zz in a covariance
+TENTH_OF_MILLIMETRE = 4  # decimals of a position in metres; twice as many for a variance
 
 
 @dataclass(frozen=True)
@@ -86,15 +84,6 @@ def colour_of(status: Status) -> tuple[float, float, float]:
     if status is Status.OK:
         return _GREEN
     return _RED if status in (Status.FAULT, Status.BLOCKED) else _AMBER
-
-
-def arms_of(frame: SkeletonFrame) -> np.ndarray:
-    """(6, 3) the arm joints of a frame [m]; NaN where not seen, or where it has fewer positions than names."""
-    arms = np.full((len(ARM_JOINTS), 3), np.nan)
-    for row, joint in enumerate(ARM_JOINTS):
-        if joint in frame.joints[: len(frame.positions)]:
-            arms[row] = frame.positions[frame.joints.index(joint)]
-    return arms
 
 
 def _metres(values: np.ndarray) -> Any:

@@ -11,12 +11,9 @@ from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError, decode
 from kinecast.types import SkeletonFrame
 
-MOST_PERSONS = 16
-"""Persons of one source, or of one camera of it, at once."""
-MOST_SENDERS = 16
-"""Senders of one source at once."""
-FORGET = 2.0
-"""After so much silence [s] a person's name, or a sender's place, is free for another."""
+MOST_PERSONS = 16  # persons of one source, or of one camera of it, at once
+MOST_SENDERS = 16  # senders of one source at once
+FORGET = 2.0  # after so much silence [s] a person's name, or a sender's place, is free for another
 
 
 @runtime_checkable
@@ -60,8 +57,7 @@ class SenderGuard:
     def admit(self, frame: SkeletonFrame | Detection, sender: Hashable, arrived: float) -> None:
         """A frame that was read already; see `take`.
 
-        Raises:
-            MessageError: too many send, its person is another sender's, or its camera is none of the rig's.
+        A MessageError where too many send, its person is another sender's, or its camera is none of the rig's.
         """
         camera = self._camera_of(frame)
         clock = self._clock_of(sender, arrived)

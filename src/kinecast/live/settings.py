@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from urllib.parse import parse_qsl
 
@@ -37,6 +38,19 @@ def number(
     if not low <= value <= high and (low, high) != (-math.inf, math.inf):
         raise OptionError(f"{text}: {name} {settings[name]!r} is outside {low:g}..{high:g}")
     return value
+
+
+def numbers(settings: Mapping[str, str], text: str, **ranges: tuple[float, float]) -> dict[str, float]:
+    """Those of several settings that are given; see `number`."""
+    return {name: number(settings, name, 0.0, text, *span) for name, span in ranges.items() if name in settings}
+
+
+def picture_size(settings: Mapping[str, str], text: str, usual: str) -> tuple[int, int]:
+    """Width and height of pictures [px], written as 640x480; OptionError for anything else."""
+    found = re.fullmatch(r"([1-9]\d{1,3})x([1-9]\d{1,3})", settings.get("size", usual))
+    if found is None:
+        raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as {usual}")
+    return int(found[1]), int(found[2])
 
 
 def whole_number(

@@ -5,24 +5,22 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, Protocol, runtime_checkable
+from typing import IO, Generic, Protocol, TypeVar, runtime_checkable
 
-from websockets.asyncio.server import ServerConnection, broadcast
-from websockets.exceptions import ConnectionClosed
+from websockets.asyncio.server import broadcast
 
 from kinecast.live.counters import SinkCounters
-from kinecast.live.network import CLOSING, MOST_CLIENTS, TRY_LATER, Address, Network, WebSocketServer
+from kinecast.live.network import CLOSING, Address, Network, WebSocketServer
 from kinecast.live.publication import Publication
 
-MOST_WAITING = 100
-"""Publications that wait for a disc; more are dropped and counted."""
-MOST_UNSENT = 256 * 1024
-"""Bytes that may wait for one client; while there are more, it misses what is published."""
-LARGEST_REQUEST = 1024
-"""Clients have nothing to say here; what they say is passed over."""
-LOOK = 0.1
-"""Longest wait for a publication before looking whether to end [s]."""
+MOST_WAITING = 100  # publications that wait for a disc; of more the oldest are dropped and counted
+MOST_UNSENT = 256 * 1024  # bytes that may wait for one client; while there are more, it misses what is published
+LARGEST_REQUEST = 1024  # clients have nothing to say here; what they say is passed over
+LOOK = 0.05  # longest wait for a publication before looking whether to end, or whether something has expired [s]
+
+Item = TypeVar("Item")
 
 
 @runtime_checkable
@@ -37,36 +35,43 @@ class Sink(Protocol):
     def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
-class FileSink:
-    """A file that is written in a thread of its own; one that is at the path is replaced, or an OSError raised."""
+class Writing(Generic[Item]):
+    """Writes what it is given in a thread of its own; of more than there is room for, the oldest that waits is dropped.
 
-    def __init__(self, path: Path) -> None:
-        self.address = str(path)
-        self.counters = SinkCounters(self.address, "written", OSError)
-        self.file: IO[bytes] = path.open("wb")
-        self._waiting: queue.Queue[Publication] = queue.Queue(MOST_WAITING)
+    What `write`, `expire` (at least every `LOOK` seconds) and `finish` raise is counted.
+    """
+
+    def __init__(self, address: str, most_waiting: int = MOST_WAITING, verb: str = "written") -> None:
+        self.address, self.counters = address, SinkCounters(address, verb, OSError)
+        self._room = most_waiting
+        self._waiting: queue.Queue[tuple[Item, float]] = queue.Queue()
         self._closing = threading.Event()
-        self.begin()
-        self._thread = threading.Thread(target=self._run, name=self.address, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=address, daemon=True)
         self._thread.start()
 
-    def begin(self) -> None:
-        """Writes what comes first."""
-
-    def write(self, publication: Publication) -> None:
-        """Writes one."""
+    def write(self, item: Item) -> None:
+        """Writes or sends one."""
         raise NotImplementedError
 
-    def finish(self) -> None:
-        """Writes what comes last."""
+    def expire(self) -> None:
+        """Takes back what holds no more."""
 
-    def publish(self, publication: Publication) -> None:
-        try:
-            self._waiting.put_nowait(publication)
-        except queue.Full:
-            self.counters.drop()
+    def finish(self) -> None:
+        """Writes what comes last, unless an error has ended it."""
+
+    def release(self) -> None:
+        """Closes what was opened."""
+
+    def put(self, item: Item, acquired: float) -> None:
+        """Takes one that was acquired at a time [s] on `time.monotonic`; never waits."""
+        if self._waiting.qsize() >= self._room:
+            with suppress(queue.Empty):
+                self._waiting.get_nowait()
+                self.counters.drop()
+        self._waiting.put((item, acquired))
 
     def close(self) -> None:
+        """See Sink."""
         self._closing.set()
         self._thread.join(CLOSING)
         if self._thread.is_alive():
@@ -75,19 +80,29 @@ class FileSink:
 
     def _run(self) -> None:
         while not (self._closing.is_set() and self._waiting.empty()):
-            try:
-                publication = self._waiting.get(timeout=LOOK)
-            except queue.Empty:
-                continue
-            if self.counters.attempt(self.write, publication):
-                self.counters.sent(time.monotonic() - publication.acquired)
-            else:
-                self.counters.drop()
+            with suppress(queue.Empty):
+                self.counters.deliver(self.write, *self._waiting.get(timeout=LOOK))
+            self.counters.attempt(self.expire)
         self.counters.attempt(self.finish)
         try:
-            self.file.close()
-        except OSError as error:
+            self.release()
+        except Exception as error:
             self.counters.fail(error)
+
+
+class FileSink(Writing[Publication]):
+    """A file of publications; one that is at the path is replaced, or an OSError raised."""
+
+    def __init__(self, path: Path) -> None:
+        self.file: IO[bytes] = path.open("wb")
+        super().__init__(str(path))
+
+    def publish(self, publication: Publication) -> None:
+        """See Sink."""
+        self.put(publication, publication.acquired)
+
+    def release(self) -> None:
+        self.file.close()
 
 
 class JsonlSink(FileSink):
@@ -97,23 +112,15 @@ class JsonlSink(FileSink):
         self.file.write(publication.json + b"\n")
 
 
-class WebSocketSink:
+class WebSocketSink(WebSocketServer):
     """Sends every client each prediction (docs/live.md), as JSON text or binary msgpack, and waits for none of them."""
 
     def __init__(self, address: Address, network: Network, msgpack: bool = False) -> None:
-        self._network = network
+        super().__init__(address, network, LARGEST_REQUEST)
+        self.counters = SinkCounters(self.address, "sent")
         self._msgpack = msgpack
-        self._clients: set[ServerConnection] = set()
         self._newest: dict[tuple[str, str], Publication] = {}
         self._lock = threading.Lock()
-        self._server = WebSocketServer(address, network, self._attend, LARGEST_REQUEST)
-        self.address = self._server.address
-        self.counters = SinkCounters(self.address, "sent")
-
-    @property
-    def unsent(self) -> list[int]:
-        """Bytes that wait for each client."""
-        return [client.transport.get_write_buffer_size() for client in self._clients]
 
     def publish(self, publication: Publication) -> None:
         """See Sink; one that a newer of the same person replaces before it is sent counts as dropped."""
@@ -122,10 +129,7 @@ class WebSocketSink:
             self.counters.drop(publication.key in self._newest)
             self._newest[publication.key] = publication
         if due:
-            self._network.soon(self._send)
-
-    def close(self) -> None:
-        self._server.close()
+            self.network.soon(self._send)
 
     def _send(self) -> None:
         with self._lock:
@@ -135,23 +139,10 @@ class WebSocketSink:
                 self.counters.drop()
 
     def _broadcast(self, publication: Publication) -> None:
-        if self._clients:
+        if self.clients:
             content = publication.msgpack if self._msgpack else publication.json
-            ready = [client for client in self._clients if client.transport.get_write_buffer_size() <= MOST_UNSENT]
-            self.counters.drop(len(self._clients) - len(ready))
+            ready = [client for client in self.clients if client.transport.get_write_buffer_size() <= MOST_UNSENT]
+            self.counters.drop(len(self.clients) - len(ready))
             broadcast(ready, content, text=not self._msgpack)
             if ready:
                 self.counters.sent(time.monotonic() - publication.acquired)
-
-    async def _attend(self, client: ServerConnection) -> None:
-        if len(self._clients) >= MOST_CLIENTS:
-            await client.close(TRY_LATER, "too many clients")
-            return
-        self._clients.add(client)
-        try:
-            async for _ in client:
-                pass
-        except ConnectionClosed:
-            pass
-        finally:
-            self._clients.discard(client)

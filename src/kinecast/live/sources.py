@@ -10,17 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 from websockets.asyncio.server import ServerConnection
-from websockets.exceptions import ConnectionClosed
 
 from kinecast.errors import OptionError
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import LARGEST_MESSAGE
-from kinecast.live.network import CLOSING, MOST_CLIENTS, TRY_LATER, Address, Network, WebSocketServer
+from kinecast.live.network import CLOSING, Address, Network, WebSocketServer
 from kinecast.live.sender_guard import SenderGuard
 from kinecast.types import SkeletonFrame
-
-TOO_BIG = 1009
-"""Close code of RFC 6455."""
 
 
 @runtime_checkable
@@ -34,66 +30,61 @@ class Source(Protocol):
     def close(self) -> None: ...  # no frame comes afterwards
 
 
-class WebSocketSource:
+class WebSocketSource(WebSocketServer):
     """A WebSocket server that clients send skeletons to, one a message; it listens from the beginning."""
 
     def __init__(self, address: Address, feed: Feed, network: Network, guard: SenderGuard) -> None:
-        self._feed = feed
-        self._guard = guard
-        self._server = WebSocketServer(address, network, self._receive, LARGEST_MESSAGE)
-        self.address = feed.name = self._server.address
+        self._feed, self._guard = feed, guard
+        super().__init__(address, network, LARGEST_MESSAGE)
+        feed.name = self.address
 
     def start(self) -> None:
-        pass
+        """See Source."""
 
-    def close(self) -> None:
-        self._server.close()
+    def refuse(self, problem: str) -> None:
+        """Counts it."""
+        self._feed.refuse(problem)
 
-    async def _receive(self, connection: ServerConnection) -> None:
-        if self._feed.clients >= MOST_CLIENTS:
-            self._feed.refuse(f"more than {MOST_CLIENTS} clients")
-            await connection.close(TRY_LATER, "too many clients")
-            return
+    async def listen(self, client: ServerConnection) -> None:
+        """Takes a client's skeletons."""
         self._feed.clients += 1
         try:
-            async for content in connection:
-                self._guard.take(content, connection.id, time.monotonic())
-        except ConnectionClosed as end:
-            if end.sent is not None and end.sent.code == TOO_BIG:
-                self._feed.refuse(f"a message above {LARGEST_MESSAGE} bytes; its client is disconnected")
+            async for content in client:
+                self._guard.take(content, client.id, time.monotonic())
         finally:
             self._feed.clients -= 1
-            self._guard.leave(connection.id)
+            self._guard.leave(client.id)
 
 
 class UdpSource(asyncio.DatagramProtocol):
     """A UDP port that skeletons are sent to, one a datagram; it listens from the beginning."""
 
     def __init__(self, address: Address, feed: Feed, network: Network, guard: SenderGuard) -> None:
-        self._feed = feed
-        self._network = network
-        self._guard = guard
-        self._transport = network.open(address, self._listen(address))
+        self._feed, self._guard, self._network = feed, guard, network
+
+        async def opening() -> asyncio.DatagramTransport:
+            loop = asyncio.get_running_loop()
+            return (await loop.create_datagram_endpoint(lambda: self, local_addr=(address.host, address.port)))[0]
+
+        self._transport = network.open(address, opening())
         port = self._transport.get_extra_info("sockname")[1]
         self.address = feed.name = str(Address(address.scheme, address.host, port))
 
     def start(self) -> None:
-        pass
+        """See Source."""
 
     def close(self) -> None:
-        self._network.finish(self._stop_listening())
+        """See Source."""
+
+        async def closing() -> None:
+            self._transport.close()
+
+        self._network.finish(closing())
 
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
         """Called by asyncio."""
         self._guard.take(data, addr, time.monotonic())
         self._feed.clients = self._guard.senders
-
-    async def _listen(self, address: Address) -> asyncio.DatagramTransport:
-        loop = asyncio.get_running_loop()
-        return (await loop.create_datagram_endpoint(lambda: self, local_addr=(address.host, address.port)))[0]
-
-    async def _stop_listening(self) -> None:
-        self._transport.close()
 
 
 @dataclass

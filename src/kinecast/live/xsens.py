@@ -8,10 +8,11 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from kinecast.body.skeleton import XSENS_23
 from kinecast.errors import OptionError
@@ -22,13 +23,10 @@ from kinecast.live.sender_guard import FORGET, MOST_PERSONS, SenderGuard
 from kinecast.live.settings import choice
 from kinecast.types import SkeletonFrame
 
-DEFAULT_PORT = 9763
-"""MVN sends to this one unless told otherwise (2.3)."""
-BODY = 23
-"""Segments with the ids 1 to 23 are the body (3.1); what follows are props and fingers."""
+DEFAULT_PORT = 9763  # MVN sends to this one unless told otherwise (2.3)
+BODY = 23  # segments with the ids 1 to 23 are the body (3.1); what follows are props and fingers
 MOST_CHARACTERS = 256
-MOST_PENDING = 3
-"""Samples of a character that wait for their other datagrams."""
+MOST_PENDING = 3  # samples of a character that wait for their other datagrams
 REORDERED = 64
 """A sample at most so far behind the newest was overtaken on its way; one farther behind is of a new beginning."""
 CENTIMETRES = 3.0
@@ -59,11 +57,7 @@ class XsensOptions:
 
     @classmethod
     def parse(cls, settings: Mapping[str, str], text: str) -> XsensOptions:
-        """From `person`, `up` and `stamps` of a source.
-
-        Raises:
-            OptionError: one outside its range.
-        """
+        """From `person`, `up` and `stamps` of a source; an OptionError for one outside its range."""
         person = settings.get("person")
         if person is not None and not (person.isascii() and person.isdigit() and int(person) < MOST_CHARACTERS):
             raise OptionError(f"{text}: person {person!r} is no character's number, 0..{MOST_CHARACTERS - 1}")
@@ -71,8 +65,7 @@ class XsensOptions:
         return cls(None if person is None else int(person), up, stamps == "arrival")
 
 
-@dataclass(frozen=True)
-class _Datagram:
+class _Datagram(NamedTuple):
     """A pose, or a part of one: origins of body segments 0..22 in the sender's unit and axes, NaN if not finite."""
 
     kind: int
@@ -110,33 +103,29 @@ def _read(content: bytes) -> _Datagram | None:
     return _Datagram(kind, sample, counter & ~_LAST, last, milliseconds, character, segments, positions)
 
 
-@dataclass
 class _Sample:
     """What has come of one character's pose."""
 
-    milliseconds: int
-    positions: Float[np.ndarray, "23 3"] = field(default_factory=lambda: np.full((BODY, 3), np.nan))
-    come: Bool[np.ndarray, " 23"] = field(default_factory=lambda: np.zeros(BODY, dtype=bool))
-    parts: set[int] = field(default_factory=set)
-    wanted: int | None = None
+    def __init__(self, milliseconds: int) -> None:
+        self.milliseconds = milliseconds
+        self.positions = np.full((BODY, 3), np.nan)
+        self._come = np.zeros(BODY, dtype=bool)
+        self._parts: set[int] = set()
+        self._wanted: int | None = None
 
-    @property
-    def whole(self) -> bool:
+    def add(self, datagram: _Datagram) -> bool:
         """Whether no segment of the body can come any more; fingers and props are not waited for."""
-        return bool(self.come.all()) or self.wanted == len(self.parts)
-
-    def add(self, datagram: _Datagram) -> None:
         if datagram.milliseconds != self.milliseconds:
             raise MessageError(f"sample {datagram.sample} has two time codes")
-        if datagram.part in self.parts:
-            return
-        if self.come[datagram.segments].any():
-            raise MessageError(f"sample {datagram.sample} has a segment twice")
-        self.parts.add(datagram.part)
-        self.come[datagram.segments] = True
-        self.positions[datagram.segments] = datagram.positions
-        if datagram.last:
-            self.wanted = datagram.part + 1
+        if datagram.part not in self._parts:
+            if self._come[datagram.segments].any():
+                raise MessageError(f"sample {datagram.sample} has a segment twice")
+            self._parts.add(datagram.part)
+            self._come[datagram.segments] = True
+            self.positions[datagram.segments] = datagram.positions
+            if datagram.last:
+                self._wanted = datagram.part + 1
+        return bool(self._come.all()) or self._wanted == len(self._parts)
 
 
 class _Character:
@@ -158,9 +147,8 @@ class _Character:
         if self._out and _ahead(self._out[-1], number) <= REORDERED:
             raise MessageError(f"sample {number} came after sample {self._out[-1]}")
         sample = self.pending.setdefault(number, _Sample(datagram.milliseconds))
-        sample.add(datagram)
         lost = 0
-        if sample.whole:
+        if sample.add(datagram):
             kept = {k: other for k, other in self.pending.items() if k != number and _ahead(k, number) <= REORDERED}
             lost = len(self.pending) - 1 - len(kept)
             self.pending = kept
@@ -188,12 +176,7 @@ class XsensGuard(SenderGuard):
     def __init__(self, feed: Feed, options: XsensOptions) -> None:
         super().__init__(feed)
         self._options = options
-        self._characters: dict[tuple[Hashable, int], _Character] = {}
-
-    @property
-    def waiting(self) -> int:
-        """Samples that are not whole yet."""
-        return sum(len(character.pending) for character in self._characters.values())
+        self.characters: dict[tuple[Hashable, int], _Character] = {}
 
     def take(self, content: bytes | str, sender: Hashable, arrived: float) -> None:
         """One datagram; types that hold no pose, and characters that are not wanted, are passed over."""
@@ -214,13 +197,13 @@ class XsensGuard(SenderGuard):
 
     def _character(self, key: tuple[Hashable, int], kind: int, arrived: float) -> _Character:
         """Who it is; a new one takes the place of one that is silent."""
-        if key not in self._characters or arrived - self._characters[key].heard >= FORGET:
-            kept = {known: each for known, each in self._characters.items() if arrived - each.heard < FORGET}
+        if key not in self.characters or arrived - self.characters[key].heard >= FORGET:
+            kept = {known: each for known, each in self.characters.items() if arrived - each.heard < FORGET}
             if len(kept) >= MOST_PERSONS:
                 raise MessageError(f"more than {MOST_PERSONS} characters")
-            self._characters = {**kept, key: _Character(kind)}
-        self._characters[key].heard = arrived
-        return self._characters[key]
+            self.characters = {**kept, key: _Character(kind)}
+        self.characters[key].heard = arrived
+        return self.characters[key]
 
     def _frame(self, character: _Character, sample: _Sample, person: str, arrived: float) -> SkeletonFrame:
         if not self._options.by_arrival and sample.milliseconds == character.milliseconds:

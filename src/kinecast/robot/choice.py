@@ -13,50 +13,27 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
-from kinecast.robot.errand import Step, straight
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import STEP, Motions, likely
-from kinecast.robot.occupancy import Occupancy
-from kinecast.robot.planner import NoPlan, Plan, Planner
+from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
+from kinecast.robot.planner import SPEED, NoPlan, Plan, Planner
+from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Choice", "ChoiceOptions", "Chooser", "Option", "Request", "grasp_rows"]
+__all__ = ["Choice", "Chooser", "Option", "Request", "grasp_rows", "options_for"]
 
 
-@dataclass(frozen=True)
-class ChoiceOptions:
-    """How ways are compared.
-
-    Attributes:
-        risk: price of what the slowest tenth takes longer than the mean [s/s].
-        worth: a loss below this is not worth another plan [s].
-        gain: another way, or another cube, must be sooner by this [s]: predictions flicker.
-        change: … and another cube by so much more [s].
-        order: price of a cube that is not the next in order [s].
-        taken: price of a cube that the person is about to take, or has [s].
-        vertical: greatest speed of the straight ways down and up [m/s].
-        dwell: time the gripper takes [s].
-        delay: age of what monitoring knows of the people [s].
-    """
-
-    risk: float = 0.2
-    worth: float = 0.3
-    gain: float = 0.8
-    change: float = 0.4
-    order: float = 0.3
-    taken: float = 2.0
-    vertical: float = 0.5
-    dwell: float = 0.25
-    delay: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 <= value < 10:
-                raise OptionError(f"{name} {value} is outside 0..10")
+RISK = 0.2
+"""Price of what the slowest tenth takes longer than the mean [s/s]."""
+WORTH = 0.3
+"""A loss below this is not worth another plan [s]."""
+GAIN, CHANGE = 0.8, 0.4
+"""Another way must be sooner by this, another cube by so much more [s]: predictions flicker."""
+ORDER, TAKEN = 0.3, 2.0
+"""Price of a cube that is not the next in order, and of one that the person is about to take, or has [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,28 +106,24 @@ class Chooser:
     Args:
         planner: of the ways.
         cell: with the cubes, and the constants of monitoring.
-        options: see ChoiceOptions.
     """
 
-    def __init__(self, planner: Planner, cell: Cell, options: ChoiceOptions | None = None) -> None:
+    def __init__(self, planner: Planner, cell: Cell) -> None:
         self.planner, self.cell, self.separation = planner, cell, cell.separation
-        self.options = options or ChoiceOptions()
 
     def choose(self, request: Request) -> Choice | NoPlan:
         """The option and the way that are done soonest, for what they are; or why there is none."""
-        o, best, least = self.options, None, np.inf
+        best, least = None, np.inf
         if request.present is not None:
             time = self._time(request.present, request, 0.0)
-            if time.priced(o.risk) - time.nominal < o.worth:
+            if time.priced(RISK) - time.nominal < WORTH:
                 return Choice(request.options[0], None, time, request.present)
             best = Choice(request.options[0], None, time, request.present)
-            least = self._cost(best) - o.gain
+            least = self._cost(best) - GAIN
         reason = "out of reach"
         straight_ways = []
         for option in request.options:
-            plan = self.planner.plan(
-                request.q, option.goals, Occupancy.empty(request.start_time), request.start_time, budget=np.inf
-            )
+            plan = self.planner.plan(request.q, option.goals, request.start_time)
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:
@@ -159,25 +132,25 @@ class Chooser:
         for choice in (*straight_ways, *self._bent(straight_ways, request)):
             cost = self._cost(choice)
             if request.present is not None and choice.option is not request.options[0]:
-                cost += o.change
+                cost += CHANGE
             if cost < least:
                 best, least = choice, cost
         return NoPlan(reason) if best is None else best
 
     def _timed(self, option: Option, plan: Plan, request: Request) -> Choice:
-        rows = grasp_rows(self.planner.arm, self.cell, plan.trajectory, option, self.options)
+        rows = grasp_rows(self.planner.arm, self.cell, plan.trajectory, option)
         return Choice(option, plan, self._time(rows, request, request.wait), rows, request.wait)
 
     def _cost(self, choice: Choice) -> float:
         """What it costs more than with nobody there [s]."""
-        return choice.time.priced(self.options.risk) - choice.option.usual + choice.option.price
+        return choice.time.priced(RISK) - choice.option.usual + choice.option.price
 
     def _time(self, rows: Float[np.ndarray, "W 6"], request: Request, wait: float) -> TravelTime:
-        return travel_time(self.planner.arm, rows, request.motions, self.separation, wait, self.options.delay)
+        return travel_time(self.planner.arm, rows, request.motions, self.separation, wait)
 
     def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
         """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
-        if not ways or request.motions is None or ways[0].time.mean - ways[0].time.nominal < self.options.worth:
+        if not ways or request.motions is None or ways[0].time.mean - ways[0].time.nominal < WORTH:
             return
         best, people = ways[0], likely(request.motions, request.start_time - request.wait)
         assert best.plan is not None
@@ -185,23 +158,53 @@ class Chooser:
             best.plan, request.q, best.option.goals, people, request.start_time, self.separation
         ):
             bent = self._timed(best.option, plan, request)
-            if bent.time.priced(self.options.risk) < best.time.priced(self.options.risk) - self.options.worth:
+            if bent.time.priced(RISK) < best.time.priced(RISK) - WORTH:
                 yield bent
 
 
-def grasp_rows(
-    arm: UR5, cell: Cell, trajectory: Trajectory, option: Option, options: ChoiceOptions
-) -> Float[np.ndarray, "W 6"]:
+def options_for(
+    step: Step,
+    target: str | None,
+    sequence: TaskSequence,
+    cell: Cell,
+    places: GraspConfigurations,
+    q: Float[np.ndarray, "6"],
+) -> tuple[Option, ...]:
+    """What may be done in a step, what the arm is at first: every cube left, the cube's place, or where it rests.
+
+    Args:
+        step: REACH, CARRY or REST; target: the cube of the arm.
+        sequence: cubes left, and who takes them.
+        cell: with the cubes; places: how the arm stands at them.
+        q: (6,) where it is [rad].
+    """
+    if step is Step.REST:
+        return (Option(step, target, places.rest(q), None),)
+    if step is Step.CARRY:
+        assert target is not None
+        place = cell.cube(target).place
+        return (Option(step, target, places.above(place, q), place),)
+    found = []
+    for name in sorted(sequence.remaining, key=lambda name: name != target):
+        place = cell.cube(name).position
+        price = 0.0 if name == sequence.remaining[0] else ORDER
+        price += TAKEN if sequence.is_taken(name) else 0.0
+        usual = places.usual(place, SPEED)
+        found.append(Option(Step.REACH, name, places.above(place, q), place, usual, price))
+    return tuple(found)
+
+
+def grasp_rows(arm: UR5, cell: Cell, trajectory: Trajectory, option: Option) -> Float[np.ndarray, "W 6"]:
     """(W, 6) a way, the way down from its end, the gripper's time, and the way up again: `STEP` apart [rad]."""
     rows = _sampled(within_limits(trajectory, arm))
     if option.point is None:
         return rows
     to = cell.grasp(option.point)[:3, 3]
-    down = straight(arm, rows[-1], to, options.vertical, 0.0)
+    down = straight(arm, rows[-1], to, 0.0)
     if down is None:
         return rows
     below = _sampled(within_limits(down, arm))[1:]
-    still = np.repeat(below[-1:], int(np.ceil(options.dwell / STEP)), axis=0)
+    still = np.repeat(below[-1:], int(np.ceil(DWELL / STEP)), axis=0)
     return np.concatenate([rows, below, still, below[::-1], rows[-1:]])
 
 

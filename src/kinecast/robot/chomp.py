@@ -1,156 +1,255 @@
-"""CHOMP: a smooth path pushed out of where people will be, each waypoint at its own time.
+"""CHOMP: a smooth path pushed out of what is in the way, and out of where people would slow the arm down.
 
-U[ξ] = ½ ‖K ξ + e‖² + Σ_points ∫ c(d(x, t)) |x'| dt, descended as ξ ← ξ − η A⁻¹ ∇U, K ξ its jerk:
-A = KᵀK. Both ends are fixed, the joint limits projected. N. Ratliff, M. Zucker, J. A. Bagnell
-and S. Srinivasa, "CHOMP: Gradient Optimization Techniques for Efficient Motion Planning", ICRA 2009. Here the
-distance d is that of the moment at which the waypoint is passed.
+U[ξ] = ½ ‖K (ξ − ξ₀)‖² + Σ_points ∫ c(d(x, t)) |x'| dt, descended as ξ ← ξ − η A⁻¹ ∇U, K ξ its jerk, ξ₀ the straight
+way: A = KᵀK. Both ends are fixed, the joint limits projected. N. Ratliff, M. Zucker, J. A. Bagnell and S. Srinivasa,
+"CHOMP: Gradient Optimization Techniques for Efficient Motion Planning", ICRA 2009. The distance d to a person is that
+of the moment at which the waypoint is passed.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.interpolate import make_interp_spline
+from jaxtyping import Float
+from numba import njit
 
-from kinecast.errors import OptionError
-from kinecast.robot.descent import descend
-from kinecast.robot.ur5 import UR5
+from kinecast.geometry.distances import point_distance
+from kinecast.geometry.shapes import Capsule
+from kinecast.robot.collision import FIRST_LINK
+from kinecast.robot.kinematics import site_positions
+from kinecast.robot.trajectory import rest_to_rest
+from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["ChompOptions", "Surroundings", "optimise", "smoothest"]
+__all__ = ["Chomp", "People"]
 
-
-@dataclass(frozen=True)
-class ChompOptions:
-    """How the descent goes.
-
-    Attributes:
-        waypoints: W, both ends among them.
-        person_margin: least distance kept from a person's region [m].
-        person_zone: beyond it, in which the cost rises [m].
-        scene_margin, scene_zone: the same for the scene [m].
-        obstacle_step, smooth_step: step sizes η of the two costs.
-        largest_change: of an angle in one iteration [rad].
-        least_iterations, most_iterations: it stops between the two once the least distances are kept.
-        patience: it also stops after so many iterations in which the least distance did not grow.
-    """
-
-    waypoints: int = 40
-    person_margin: float = 0.02
-    person_zone: float = 0.10
-    scene_margin: float = 0.005
-    scene_zone: float = 0.05
-    obstacle_step: float = 2.0
-    smooth_step: float = 0.03
-    largest_change: float = 0.1
-    least_iterations: int = 10
-    most_iterations: int = 100
-    patience: int = 20
-
-    def __post_init__(self) -> None:
-        if self.waypoints < 6:
-            raise OptionError(f"waypoints {self.waypoints} must be at least 6")
-        for name, value in vars(self).items():
-            if not 0 <= value < np.inf:
-                raise OptionError(f"{name} {value} must be 0 or more")
+OBSTACLE_STEP, SMOOTH_STEP = 2.0, 0.03
+"""Step sizes η of the two costs."""
+LARGEST_CHANGE = 0.1
+"""Of an angle in one iteration [rad]."""
+SCENE_ZONE, PERSON_ZONE = 0.05, 0.10
+"""The cost rises so far beyond the margin of the scene and of a person [m]."""
+PATIENCE, PROGRESS = 20, 1e-3
+"""It stops after so many iterations in which the least distance did not grow by so much [m]."""
+SLOWEST = 5e-3
+"""Least way [m] of a body point per waypoint in the cost, so that a point at rest inside an obstacle counts too."""
+SPACING = 1.3
+"""Largest distance of body points along a capsule's axis, in its radii: halfway between two points the capsule's
+surface stands out from their balls by 0.24 radii, 0.014 m at most."""
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
-    """What is in the way, where it is when each waypoint is passed.
+class People:
+    """People beside the path, and what monitoring costs beside them: time, at v(d) = √(h² + 2 a (d − C)) − h.
 
     Attributes:
-        capsules: (W, K, 7) start, end and radius of persons' capsules [m].
-        obstacles: (W, O, 17) rows of the scene's obstacles (kinecast.geometry.distances).
-        first_link: (O,) the first of `LINKS` that each obstacle counts for.
-        slowing: what monitoring costs beside persons (kinecast.robot.descent.descend); nothing by default.
+        capsules: (W, K, 7) start, end and radius where they are when each waypoint is passed [m].
+        constant: C, the constant part of S_p [m].
+        half: h = v_h + a T_r [m/s].
+        braking: a [m/s²].
+        wanted: the speed v₀ that the arm wants [m/s].
+        weight: of the time lost beside the cost of what is in the way.
     """
 
     capsules: Float[np.ndarray, "W K 7"]
-    obstacles: Float[np.ndarray, "W O 17"]
-    first_link: Int[np.ndarray, " O"]
-    slowing: tuple[float, float, float, float, float] = (0.0, 1.0, 1.0, 1.0, 0.0)
+    constant: float
+    half: float
+    braking: float
+    wanted: float
+    weight: float
+
+    def price(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Time lost per metre, 1/v(d) − 1/v₀, and its slope: straight on below v₀/4, and scaled by its slope there."""
+        h, a, least = self.half, self.braking, 0.25 * self.wanted
+        steepest = a / (least + h) / least**2
+        nearest = self.constant + ((least + h) ** 2 - h * h) / (2.0 * a)
+        root = np.sqrt(h * h + 2.0 * a * (np.maximum(distance, nearest) - self.constant))
+        speed = np.minimum(root - h, self.wanted)
+        slope = np.where(speed < self.wanted, -a / (root * speed**2) / steepest, 0.0)
+        lost = (1.0 / speed - 1.0 / self.wanted) / steepest + np.maximum(nearest - distance, 0.0)
+        return self.weight * lost, self.weight * slope
+
+
+class Chomp:
+    """The arm's body as balls strung along its links, among obstacles that stand still.
+
+    Args:
+        arm: the arm.
+        obstacles: (O, 17) rows (kinecast.geometry.distances).
+    """
+
+    def __init__(self, arm: UR5, obstacles: Float[np.ndarray, "O 17"]) -> None:
+        self.arm = arm
+        # The arm's own pedestal is in the way too, from the elbow on.
+        self._obstacles = np.concatenate([obstacles, Capsule(*arm.pedestal).row[None]])
+        self._first_link = np.append(np.full(len(obstacles), FIRST_LINK), LINKS.index("elbow"))
+        sites, link = [], []
+        for k, (start, end) in enumerate(zip(*np.split(arm.capsule_sites, 2), strict=True)):
+            count = int(np.ceil(np.linalg.norm(end - start) / (SPACING * arm.capsule_radius[k]))) + 1
+            sites.append(np.linspace(start, end, count))
+            link += [k] * count
+        self._sites, self._joint, self._radius = (
+            np.concatenate(sites),
+            arm.capsule_joint[link],
+            arm.capsule_radius[link],
+        )
+        self._link = np.array(link)
+
+    def optimise(
+        self,
+        path: Float[np.ndarray, "W 6"],
+        straight: Float[np.ndarray, "W 6"],
+        margin: float,
+        people: People | None = None,
+        least: int = 10,
+        most: int = 100,
+    ) -> tuple[Float[np.ndarray, "W 6"], float, int]:
+        """Pushes a path out of what is in the way.
+
+        Args:
+            path: (W, 6) to begin with [rad]; its ends stay.
+            straight: (W, 6) the smoothest path between these ends.
+            margin: least distance to the obstacles [m].
+            people: who costs time.
+            least, most: iterations; it stops between the two once the margins are kept.
+
+        Returns:
+            The path (W, 6); the least distance of a body point beyond its margin [m], above 0 where every margin is
+            kept, inf where nothing is near; and the iterations made.
+        """
+        q, metric = np.array(path, dtype=np.float64), _metric(len(path))
+        best, highest, improved, iteration = q.copy(), -np.inf, 0, 0
+        while True:
+            gap, torque = self._forces(q, margin, people)
+            if gap > highest:
+                improved = iteration if gap > highest + PROGRESS else improved
+                best, highest = q.copy(), gap
+            change = OBSTACLE_STEP * metric @ torque + SMOOTH_STEP * (q - straight)[1:-1]
+            done = gap > 0 and (iteration >= least or not change.any())
+            if done or iteration >= most or iteration - improved > PATIENCE:
+                return (q, gap, iteration) if gap > 0 else (best, highest, iteration)
+            change *= min(1.0, LARGEST_CHANGE / max(np.abs(change).max(), 1e-12))
+            q[1:-1] = np.clip(q[1:-1] - change, *self.arm.q_range.T)
+            iteration += 1
+
+    def _forces(
+        self, q: Float[np.ndarray, "W 6"], margin: float, people: People | None
+    ) -> tuple[float, Float[np.ndarray, "W-2 6"]]:
+        """The least distance beyond its margin [m], and ∇U of the inner waypoints without the smoothness."""
+        frames = self.arm.frames(q)
+        places = site_positions(frames, self._sites, self._joint)
+        gap, pull = _nearest_obstacles(self._obstacles, self._first_link, places[1:-1], self._link)
+        gap -= self._radius + margin
+        least, (cost, slope) = gap.min(), _cost(gap, SCENE_ZONE)
+        pull *= slope[..., None]
+        if people is not None:
+            gap, away = _nearest_capsules(people.capsules[1:-1], places[1:-1])
+            gap -= self._radius
+            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), people.price(gap)
+            least, cost = min(least, gap.min()), cost + near + lost
+            pull += (steep + steeper)[..., None] * away
+        if not pull.any():
+            return float(least), np.zeros((len(q) - 2, 6))
+        forces = _functional_gradient(places, cost, pull)
+        return float(least), _torques(frames[1:-1], self._joint, places[1:-1], forces)
+
+
+@njit(cache=True)
+@no_type_check
+def _nearest_obstacles(
+    rows: np.ndarray, first_link: np.ndarray, points: np.ndarray, link: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distances (W, P) [m] of body points to the nearest of the obstacles (O, 17), and gradients (W, P, 3).
+
+    An obstacle counts for links from its `first_link` (O,) on; the points are of links (P,).
+    """
+    distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
+    for w in range(points.shape[0]):
+        for p in range(points.shape[1]):
+            place = points[w, p, 0], points[w, p, 1], points[w, p, 2]
+            for o in range(len(rows)):
+                if link[p] >= first_link[o]:
+                    found, direction = point_distance(rows[o], place)
+                    if found < distance[w, p]:
+                        distance[w, p] = found
+                        gradient[w, p, 0], gradient[w, p, 1], gradient[w, p, 2] = direction
+    return distance, gradient
+
+
+@njit(cache=True)
+@no_type_check
+def _nearest_capsules(capsules: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distances (W, P) [m] of body points to the nearest capsule (W, K, 7) of then, and gradients (W, P, 3)."""
+    distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
+    for w in range(points.shape[0]):
+        for k in range(capsules.shape[1]):
+            c = capsules[w, k]
+            lx, ly, lz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+            squared = max(lx * lx + ly * ly + lz * lz, 1e-12)
+            for p in range(points.shape[1]):
+                x, y, z = points[w, p, 0] - c[0], points[w, p, 1] - c[1], points[w, p, 2] - c[2]
+                share = min(max((x * lx + y * ly + z * lz) / squared, 0.0), 1.0)
+                x, y, z = x - share * lx, y - share * ly, z - share * lz
+                away = math.sqrt(x * x + y * y + z * z)
+                if away - c[6] < distance[w, p]:
+                    distance[w, p] = away - c[6]
+                    away = max(away, 1e-12)
+                    gradient[w, p, 0], gradient[w, p, 1], gradient[w, p, 2] = x / away, y / away, z / away
+    return distance, gradient
+
+
+@njit(cache=True)
+@no_type_check
+def _torques(frames: np.ndarray, joint: np.ndarray, places: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """(W, 6) Jᵀ f of forces (W, P, 3) on points (W, P, 3) of the links of joints (P,): z · ((p − o) × f) of each."""
+    torques = np.zeros(frames.shape[:2])
+    for w in range(frames.shape[0]):
+        for p in range(len(joint)):
+            fx, fy, fz = forces[w, p, 0], forces[w, p, 1], forces[w, p, 2]
+            if fx != 0.0 or fy != 0.0 or fz != 0.0:
+                for j in range(joint[p] + 1):
+                    T = frames[w, j]
+                    x, y, z = places[w, p, 0] - T[0, 3], places[w, p, 1] - T[1, 3], places[w, p, 2] - T[2, 3]
+                    torques[w, j] += (
+                        T[0, 2] * (y * fz - z * fy) + T[1, 2] * (z * fx - x * fz) + T[2, 2] * (x * fy - y * fx)
+                    )
+    return torques
+
+
+def _cost(distance: np.ndarray, zone: float) -> tuple[np.ndarray, np.ndarray]:
+    """CHOMP's obstacle cost and its slope: 0 beyond the zone, quadratic within, straight inside the obstacle."""
+    within = np.minimum(np.maximum(distance, 0.0) - zone, 0.0)
+    return 0.5 * within**2 / zone - np.minimum(distance, 0.0), within / zone
+
+
+def _functional_gradient(
+    places: Float[np.ndarray, "W P 3"], cost: Float[np.ndarray, "W-2 P"], pull: Float[np.ndarray, "W-2 P 3"]
+) -> Float[np.ndarray, "W-2 P 3"]:
+    """Of body points: |x'| ((I − x̂' x̂'ᵀ) ∇c − c κ), where ∇c is their pull; x' by central differences."""
+    before, here, after = places[:-2], places[1:-1], places[2:]
+    way = 0.5 * (after - before)
+    speed = np.sqrt((way * way).sum(axis=-1, keepdims=True))
+    moving = np.maximum(speed, SLOWEST)
+    direction = way / moving
+    curved = pull - cost[..., None] / moving**2 * (after - 2.0 * here + before)
+    across = curved - (curved * direction).sum(axis=-1, keepdims=True) * direction
+    return moving * np.where(speed < SLOWEST, pull, across)
 
 
 @lru_cache(maxsize=8)
-def _metric(waypoints: int) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n 6"]]:
-    """A⁻¹ of the inner waypoints, scaled to a greatest entry of 1, and how the smoothest ones follow from the ends.
+def _metric(waypoints: int) -> Float[np.ndarray, "n n"]:
+    """A⁻¹ of the inner waypoints, scaled to a greatest entry of 1.
 
-    The ends are the first and last waypoint, speed and acceleration at the first and at the last. K is the jerk of the
-    spline through all of them (kinecast.robot.trajectory), at the nodes of a quadrature that is exact for its square.
+    K is the jerk of the spline through all of them (kinecast.robot.trajectory), at the nodes of a quadrature that is
+    exact for its square.
     """
-    given = np.eye(waypoints + 4)
-    ends: Any = [[(1, given[-4]), (2, given[-3])], [(1, given[-2]), (2, given[-1])]]
-    jerk = make_interp_spline(np.arange(waypoints), given[:-4], k=5, bc_type=tuple(ends)).derivative(3)
+    jerk = rest_to_rest(np.arange(float(waypoints)), np.eye(waypoints)).derivative(3)
     nodes, weights = np.polynomial.legendre.leggauss(3)
     places = (np.arange(waypoints - 1)[:, None] + 0.5 * (1 + nodes)).ravel()
-    K = jerk(places) * np.sqrt(np.tile(weights, waypoints - 1))[:, None]
-    inner, outer = np.arange(1, waypoints - 1), np.r_[0, waypoints - 1 : waypoints + 4]
-    inverse = np.linalg.inv(K[:, inner].T @ K[:, inner])
-    return np.ascontiguousarray(inverse / inverse.max()), -inverse @ K[:, inner].T @ K[:, outer]
-
-
-def smoothest(
-    start: Float[np.ndarray, "6"],
-    goal: Float[np.ndarray, "6"],
-    waypoints: int,
-    dt: float,
-    velocity: Float[np.ndarray, "6"],
-    acceleration: Float[np.ndarray, "6"],
-) -> Float[np.ndarray, "W 6"]:
-    """(W, 6) waypoints of least jerk from a moving start to rest at the goal [rad].
-
-    Args:
-        start, goal: (6,) [rad].
-        waypoints: W.
-        dt: time between waypoints [s].
-        velocity: (6,) at the start [rad/s].
-        acceleration: (6,) at the start [rad/s^2].
-    """
-    ends = np.stack([start, goal, dt * velocity, dt**2 * acceleration, np.zeros(6), np.zeros(6)])
-    return np.concatenate([start[None], _metric(waypoints)[1] @ ends, goal[None]])
-
-
-def optimise(
-    arm: UR5,
-    path: Float[np.ndarray, "W 6"],
-    reference: Float[np.ndarray, "W 6"],
-    surroundings: Surroundings,
-    options: ChompOptions,
-) -> tuple[Float[np.ndarray, "W 6"], float, int]:
-    """Pushes a path out of what is in the way.
-
-    Args:
-        arm: whose body points are kept clear.
-        path: (W, 6) to begin with [rad]; its ends stay.
-        reference: (W, 6) the smoothest path between these ends (`smoothest`).
-        surroundings: at each waypoint's time.
-        options: see ChompOptions.
-
-    Returns:
-        The path (W, 6); the least distance of a body point beyond its margin [m], above 0 where every margin is kept;
-        and the iterations made.
-    """
-    q = np.array(path, dtype=np.float64)
-    metric, _ = _metric(len(q))
-    body = (arm.base_rows, arm.joint_origins, arm.point_sites, arm.point_joint, arm.point_radius, arm.point_link)
-    iterations, excess = descend(
-        q,
-        body,
-        np.ascontiguousarray(surroundings.capsules),
-        np.ascontiguousarray(surroundings.obstacles),
-        surroundings.first_link,
-        metric,
-        np.ascontiguousarray(reference[1:-1]),
-        np.ascontiguousarray(arm.q_range),
-        (options.person_margin, options.person_zone, options.scene_margin, options.scene_zone),
-        surroundings.slowing,
-        (options.obstacle_step, options.smooth_step, options.largest_change),
-        options.least_iterations,
-        options.most_iterations,
-        options.patience,
-    )
-    return q, float(excess), int(iterations)
+    K = (jerk(places) * np.sqrt(np.tile(weights, waypoints - 1))[:, None])[:, 1:-1]
+    inverse = np.linalg.inv(K.T @ K)
+    scaled: Float[np.ndarray, "n n"] = inverse / inverse.max()
+    return scaled

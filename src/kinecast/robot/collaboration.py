@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import butter, filtfilt
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets.recording import Recording
@@ -23,11 +24,11 @@ from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
 from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell, standing_at
 from kinecast.robot.person import Person, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Predict, Simulation
-from kinecast.robot.supervisor import SupervisorOptions
 from kinecast.types import Prediction, SkeletonFrame, Status
 
 __all__ = ["PREDICTORS", "SCENARIOS", "generated_person", "predictor_named", "replayed_person", "simulate_scenario"]
@@ -38,6 +39,9 @@ SAMPLES = 200
 """Drawn per prediction."""
 DT, STEPS = 1 / 30, 15
 """Of predictions that no method makes."""
+SMOOTH = 6.0
+"""What limbs do lies below this frequency [Hz], above it is the tracker's noise (D. A. Winter, Biomechanics and Motor
+Control of Human Movement, 2009, 3.4.4: cut-offs of 4 to 8 Hz)."""
 PALM = 0.09
 """A wrist is this far above a cube that its hand takes [m]."""
 
@@ -100,8 +104,8 @@ def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
 
     Nine tenths of the time they are no nearer: who walks up to the table ends where others stand.
 
-    Jumps of the tracking (kinecast.datasets.repair) are no motion: a shoulder that is half a metre away for one frame
-    would be a person whom no arm can keep its distance from.
+    Jumps of the tracking (kinecast.datasets.repair) are no motion, nor is what lies above `SMOOTH`: a hand that comes
+    at 3 m/s from one frame to the next would be a person whom no arm can keep its distance from.
 
     Args:
         recording: of one person, z up [m].
@@ -121,7 +125,13 @@ def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
     ahead = np.quantile(((left + right) / 2 - middle) @ turn[:, 0], 0.9)
     # Shoulders of a standing adult are 1.4 m above the floor; recordings do not say where theirs is.
     stand = transform(turn, middle + ahead * turn[:, 0] - [0.0, 0.0, 1.4])
-    return _placed(recording, cell.person @ inverse(stand), recording.person)
+    person = _placed(recording, cell.person @ inverse(stand), recording.person)
+    rate = 1.0 / float(np.median(np.diff(person.stamps))) if len(person.stamps) > 1 else 0.0
+    if rate < 3 * SMOOTH or len(person.stamps) < 20:
+        return person
+    seen = np.isfinite(person.positions)  # a joint that is never seen is NaN throughout
+    smooth = filtfilt(*butter(2, SMOOTH, fs=rate), np.where(seen, person.positions, 0.0), axis=0)
+    return replace(person, positions=np.where(seen, smooth, np.nan))
 
 
 def _wrist_at(place: Float[np.ndarray, "3"], placement: Float[np.ndarray, "4 4"]) -> np.ndarray:
@@ -181,7 +191,7 @@ def simulate_scenario(
     seed: int,
     samples: int = SAMPLES,
     person: PlayedPerson | None = None,
-    options: SupervisorOptions | None = None,
+    body: OccupancyOptions | None = None,
     cell: Cell | None = None,
 ) -> Simulation:
     """One of SCENARIOS, ready to run.
@@ -192,7 +202,7 @@ def simulate_scenario(
         seed: of the person and the camera.
         samples: drawn per prediction.
         person: instead of the scripted one.
-        options: how the foreman decides.
+        body: radii of the people's limbs.
         cell: where; the default one.
 
     Raises:
@@ -205,4 +215,4 @@ def simulate_scenario(
         person = scripted_person(scenario, seed, cell) if scenario.fetches else generated_person(seed, cell)
     people: list[Person] = [person if scenario.fetches else ReactivePerson(person)]
     predict = predictor_named(predictor, people, samples)
-    return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, options)
+    return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, body)

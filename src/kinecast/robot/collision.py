@@ -1,123 +1,95 @@
-"""The fine check of a motion, by coal: the arm against persons, the scene and itself.
-
-Distances are first found by kinecast's own compiled code, which also gives the clearance. Whatever comes near is then
-measured again by coal, so that a plan is used only if two independent programs find it free.
-"""
+"""The arm against the scene and itself, measured by coal along pinocchio's kinematics."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from kinecast.errors import MissingExtraError
+from kinecast.errors import MissingExtraError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Shape, Sphere
-from kinecast.robot.clearance import arm_clearances
-from kinecast.robot.occupancy import Occupancy
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import LINKS, UR5
 
 try:
     import coal
+    import pinocchio as pin
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-_Placed: TypeAlias = tuple[coal.ShapeBase, coal.Transform3s]
-_REQUEST = coal.CollisionRequest()
+__all__ = ["FIRST_LINK", "CollisionChecker"]
 
-__all__ = ["Clearance", "CollisionChecker"]
-
-FAR = 2.0
-"""Distances beyond it are not looked for [m]."""
-NEAR = 0.01
-"""Within it coal measures again [m]."""
-TIGHT = 0.001
-"""Least distance from a person's region [m], looked for in tight passages."""
-WORDS = ("a person's region", "the scene", "the arm itself")
-_MEETING = (
-    ("elbow", "pedestal"), ("forearm", "pedestal"), ("wrist_1", "pedestal"), ("wrist_2", "pedestal"),
-    ("wrist_3", "pedestal"), ("palm", "pedestal"), ("left_finger", "pedestal"), ("right_finger", "pedestal"),
-    ("forearm", "shoulder"), ("wrist_1", "shoulder"), ("wrist_2", "shoulder"), ("wrist_3", "shoulder"),
-    ("palm", "shoulder"), ("left_finger", "shoulder"), ("right_finger", "shoulder"),
-    ("wrist_1", "upper_arm"), ("wrist_2", "upper_arm"), ("wrist_3", "upper_arm"), ("palm", "upper_arm"),
-    ("left_finger", "upper_arm"), ("right_finger", "upper_arm"),
-    ("wrist_2", "elbow"), ("wrist_3", "elbow"), ("palm", "elbow"), ("left_finger", "elbow"), ("right_finger", "elbow"),
-    ("wrist_3", "forearm"), ("palm", "forearm"), ("left_finger", "forearm"), ("right_finger", "forearm"),
-)  # fmt: skip
-"""Pairs of capsules that can meet: no link meets the one that carries it."""
-
-
-@dataclass(frozen=True)
-class Clearance:
-    """Least distances along a motion.
-
-    Attributes:
-        person: to persons' regions where they are at that moment [m].
-        scene: to the scene [m].
-        own: of the arm to itself [m].
-        time: at which the first of them is below 0 [s]; NaN where none is.
-        what: in words, what is in the way then; empty where nothing is.
-    """
-
-    person: float
-    scene: float
-    own: float
-    time: float = float("nan")
-    what: str = ""
-
-    @property
-    def free(self) -> bool:
-        """Nothing is in the way."""
-        return not self.what
+LOOKS = (0.01, 0.002)
+"""Largest ways of any point of the arm between two looks at a motion [m]; the second in tight passages."""
+STEP = 0.05
+"""Largest change of an angle between two looks at an edge [rad]: 0.05 m at the arm's full reach of 0.85 m; plans are
+checked finely again."""
+FIRST_LINK = LINKS.index("upper_arm")
+"""The first that may meet the scene: the shoulder only turns on the spot, and what it stands beside does not count."""
+_MEETING = {
+    "pedestal": LINKS[2:],
+    "shoulder": LINKS[3:],
+    "upper_arm": LINKS[4:],
+    "elbow": LINKS[5:],
+    "forearm": LINKS[6:],
+}
+"""Capsules that can meet: no link meets the one that carries it."""
 
 
 class CollisionChecker:
-    """Measures configurations and motions of an arm in a scene.
+    """Measures configurations and motions of an arm in a scene; for one thread at a time.
 
     Args:
         arm: the arm.
         scene: what stands around it; goals of the scene are no obstacles.
-        step: largest way of any point of the arm between two looks at a motion [m].
+
+    Raises:
+        OptionError: an obstacle moves.
     """
 
-    def __init__(self, arm: UR5, scene: Scene | None = None, step: float = 0.01) -> None:
-        self.arm = arm
-        self.scene = scene or Scene()
-        self.step = step
-        # The shoulder only turns on the spot: what it stands beside does not count.
-        self.first_link = np.full(len(self.scene.obstacles), LINKS.index("upper_arm"))
-        start, end, radius = arm.pedestal
-        index = {**{name: k for k, name in enumerate(LINKS)}, "pedestal": -1}
-        self.pairs = np.array([[index[a], index[b]] for a, b in _MEETING])
-        self.body = (
-            arm.base_rows,
-            arm.joint_origins,
-            arm.capsule_sites,
-            arm.capsule_joint,
-            arm.capsule_radius,
-            self.pairs,
-            np.array([*start, *end, radius]),
-        )
-        self._exact = _CoalArm(arm, self.scene, self.first_link, self.pairs)
+    def __init__(self, arm: UR5, scene: Scene | None = None) -> None:
+        self.arm, self.scene = arm, scene or Scene()
+        self._geometry = arm.geometry.copy()
+        names = ("pedestal", *LINKS)
+        pairs = [(names.index(link), names.index(base)) for base, links in _MEETING.items() for link in links]
+        self._own = len(pairs)
+        for obstacle in self.scene.obstacles:
+            if not isinstance(obstacle, Shape):
+                raise OptionError(f"the scene's {type(obstacle).__name__}: around the arm nothing may move by itself")
+            placed = self._geometry.addGeometryObject(pin.GeometryObject("obstacle", 0, *_solid(obstacle)))
+            pairs += [(names.index(link), placed) for link in LINKS[FIRST_LINK:]]
+        for pair in pairs:
+            self._geometry.addCollisionPair(pin.CollisionPair(*pair))
+        self._links = [names[pair[0]] for pair in pairs]
+        self._data, self._placed = arm.model.createData(), pin.GeometryData(self._geometry)
+        self._margin = 0.0
 
-    def clearances(
-        self, q: Float[np.ndarray, "N 6"], times: Float[np.ndarray, " N"], occupancy: Occupancy
-    ) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) distances [m] to persons, scene and itself of configurations (N, 6) at times (N,); 2 m at most."""
-        rows = np.ascontiguousarray(q, dtype=np.float64)
-        obstacles = np.ascontiguousarray(self.scene.rows(times))
-        found: Float[np.ndarray, "N 3"] = arm_clearances(
-            rows, self.body, occupancy.rows_at(times), obstacles, self.first_link, FAR
-        )
-        return found
+    def touched(self, q: Float[np.ndarray, "6"], margin: float = 0.0) -> str:
+        """What is nearer than a margin [m] at a configuration [rad], in words; empty where nothing is."""
+        if margin != self._margin:
+            for request in self._placed.collisionRequests:
+                request.security_margin = margin
+            self._margin = margin
+        if not pin.computeCollisions(self.arm.model, self._data, self._geometry, self._placed, q, True):
+            return ""
+        pair = next(k for k, result in enumerate(self._placed.collisionResults) if result.isCollision())
+        return f"{'the arm itself' if pair < self._own else 'the scene'} ({self._links[pair]})"
 
-    def touched(self, q: Float[np.ndarray, "N 6"], times: Float[np.ndarray, " N"], occupancy: Occupancy) -> list[str]:
-        """What the arm touches at each of N moments, in words, by coal alone; empty where nothing."""
-        return list(self._exact.meets(q, times, np.ones((len(q), 3), dtype=np.bool_), occupancy))
+    def clearance(self, q: Float[np.ndarray, "6"]) -> tuple[float, float]:
+        """Least distances [m] to the scene, inf where it is empty, and of the arm to itself; below 0 where it cuts."""
+        pin.computeDistances(self.arm.model, self._data, self._geometry, self._placed, q)
+        found = [result.min_distance for result in self._placed.distanceResults]
+        return min(found[self._own :], default=np.inf), min(found[: self._own])
+
+    def edge_is_free(self, start: Float[np.ndarray, "6"], end: Float[np.ndarray, "6"], margin: float) -> bool:
+        """Whether the straight way between two configurations keeps a margin [m]; the start is not looked at.
+
+        It is looked at every `STEP`, first the end and the middle: what is in the way is found early.
+        """
+        count = max(int(np.ceil(np.abs(end - start).max() / STEP)), 1)
+        return not any(self.touched(start + (end - start) * k / count, margin) for k in _middle_first(count))
 
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
@@ -129,143 +101,38 @@ class CollisionChecker:
         count = int(np.ceil(travelled[-1] / step)) + 1
         return np.interp(np.linspace(0.0, travelled[-1], count), travelled, coarse)
 
-    def _looked(
-        self, trajectory: Trajectory, occupancy: Occupancy, step: float
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 6"], Float[np.ndarray, "N 3"]]:
-        """Instants, configurations and their clearances along a motion."""
-        times = self.looks(trajectory, step)
-        q, _ = trajectory.at(times)
-        return times, q, self.clearances(q, times, occupancy)
+    def check(self, trajectory: Trajectory) -> str:
+        """What is in a motion's way, in words; empty where nothing is.
 
-    def check(self, trajectory: Trajectory, occupancy: Occupancy) -> Clearance:
-        """Measures a motion finely; what lies between two looks is covered by half the way between them.
-
-        A tight passage is looked at again, more closely.
+        What lies between two looks is covered by a margin of half the way between them; a tight passage is looked at
+        again, more closely.
         """
-        times, q, found = self._looked(trajectory, occupancy, self.step)
-        if TIGHT < found[:, 0].min() < 0.5 * self.step and (found[:, 1:] >= 0).all():
-            times, q, found = self._looked(trajectory, occupancy, 2 * TIGHT)
-            blocked = found < [TIGHT, 0.0, 0.0]
-        else:
-            blocked = found < [0.5 * self.step, 0.0, 0.0]
-        person, scene, own = (float(least) for least in found.min(axis=0))
-        if blocked.any():
-            first = int(blocked.any(axis=1).argmax())
-            what = WORDS[int(blocked[first].argmax())]
-            return Clearance(person, scene, own, float(times[first]), what)
-        near = found < NEAR
-        looks = np.flatnonzero(near.any(axis=1))
-        for n, what in zip(looks, self._exact.meets(q[looks], times[looks], near[looks], occupancy), strict=True):
-            if what:
-                return Clearance(person, scene, own, float(times[n]), what)
-        return Clearance(person, scene, own)
+        found = ""
+        for step in LOOKS:
+            rows, _ = trajectory.at(self.looks(trajectory, step))
+            found = next((what for q in rows if (what := self.touched(q, 0.5 * step))), "")
+            if not found:
+                break
+        return found
 
 
-class _CoalArm:
-    """The arm, the scene and persons as coal's shapes."""
-
-    def __init__(self, arm: UR5, scene: Scene, first_link: np.ndarray, pairs: np.ndarray) -> None:
-        self.arm = arm
-        self.scene = scene
-        self.first_link = first_link
-        self.pairs = pairs
-        starts, ends = np.split(arm.capsule_sites, 2)
-        lengths = np.linalg.norm(ends - starts, axis=-1)
-        self.links = [coal.Capsule(float(r), float(h)) for r, h in zip(arm.capsule_radius, lengths, strict=True)]
-        start, end, radius = arm.pedestal
-        self.pedestal = (coal.Capsule(radius, float(np.linalg.norm(end - start))), _placed(start, end))
-
-    def meets(
-        self,
-        q: Float[np.ndarray, "N 6"],
-        times: Float[np.ndarray, " N"],
-        near: Bool[np.ndarray, "N 3"],
-        occupancy: Occupancy,
-    ) -> Iterator[str]:
-        """What the arm touches at each moment, in words; empty where nothing.
-
-        Args:
-            q: (N, 6) [rad].
-            times: (N,) [s].
-            near: (N, 3) whether persons, the scene and the arm itself are looked at.
-            occupancy: of persons.
-        """
-        capsules = self.arm.capsules(q)
-        axes = _along(capsules.start, capsules.end)
-        persons = occupancy.rows_at(times)
-        person_axes = _along(persons[..., :3], persons[..., 3:6])
-        rows = self.scene.rows(times)
-        for n in range(len(q)):
-            links = [
-                (shape, coal.Transform3s(*placed))
-                for shape, *placed in zip(self.links, *(a[n] for a in axes), strict=True)
-            ]
-            yield (
-                (self._person(links, persons[n], [a[n] for a in person_axes]) if near[n, 0] else "")
-                or (self._scene(links, rows[n]) if near[n, 1] else "")
-                or (self._own(links) if near[n, 2] else "")
-            )
-
-    def _person(self, links: list[_Placed], rows: np.ndarray, axes: list[np.ndarray]) -> str:
-        """Which link touches a person's region, in words; empty where none."""
-        for row, rotation, centre in zip(rows, *axes, strict=True):
-            length = float(np.linalg.norm(row[3:6] - row[:3]))
-            person = (coal.Capsule(float(row[6]), length), coal.Transform3s(rotation, centre))
-            for name, link in zip(LINKS, links, strict=True):
-                if _touch(link, person):
-                    return f"a person's region ({name})"
-        return ""
-
-    def _scene(self, links: list[_Placed], rows: np.ndarray) -> str:
-        """Which link touches the scene, in words; empty where none."""
-        for obstacle, row, first in zip(self.scene.obstacles, rows, self.first_link, strict=True):
-            body = _solid(obstacle if isinstance(obstacle, Shape) else obstacle.shape, row)
-            for name, link in zip(LINKS[first:], links[first:], strict=True):
-                if _touch(link, body):
-                    return f"the scene ({name})"
-        return ""
-
-    def _own(self, links: list[_Placed]) -> str:
-        """Which link touches another, in words; empty where none."""
-        for k, other in self.pairs:
-            if _touch(links[k], self.pedestal if other < 0 else links[other]):
-                return f"the arm itself ({LINKS[k]})"
-        return ""
+def _middle_first(count: int) -> Iterator[int]:
+    """The numbers 1 to `count`: the last, the middle, the quarters, …"""
+    yield count
+    stride = 1 << count.bit_length()
+    while stride := stride // 2:
+        yield from range(stride, count, 2 * stride)
 
 
-def _touch(a: _Placed, b: _Placed) -> bool:
-    """Whether two placed shapes touch."""
-    return bool(coal.collide(a[0], a[1], b[0], b[1], _REQUEST, coal.CollisionResult()))
-
-
-def _along(
-    start: Float[np.ndarray, "*b 3"], end: Float[np.ndarray, "*b 3"]
-) -> tuple[Float[np.ndarray, "*b 3 3"], Float[np.ndarray, "*b 3"]]:
-    """Rotation and centre of capsules along z whose axes run from start to end."""
-    axis = end - start
-    length = np.linalg.norm(axis, axis=-1, keepdims=True)
-    z = np.where(length > 1e-12, axis / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
-    # Half a turn about the middle between the world's z and the axis carries one into the other.
-    flip = z + np.where(z[..., 2:] >= 0, [0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
-    flip /= np.linalg.norm(flip, axis=-1, keepdims=True)
-    return 2.0 * flip[..., :, None] * flip[..., None, :] - np.eye(3), 0.5 * (start + end)
-
-
-def _placed(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> coal.Transform3s:
-    """Where a capsule along z stands whose axis runs from start to end."""
-    return coal.Transform3s(*_along(start, end))
-
-
-def _solid(shape: Shape, row: Float[np.ndarray, " 17"]) -> _Placed:
-    """An obstacle as coal's shape, where its row says that it is."""
-    origin = row[1:4]
+def _solid(shape: Shape) -> tuple[pin.SE3, coal.ShapeBase]:
+    """An obstacle's place, and what it is to coal."""
+    rotation, center = shape.row[4:13].reshape(3, 3), shape.row[1:4]
     if isinstance(shape, Box):
-        return coal.Box(*map(float, shape.size)), coal.Transform3s(np.array(shape.rotation), origin)
+        return pin.SE3(rotation, center), coal.Box(*map(float, shape.size))
     if isinstance(shape, Sphere):
-        return coal.Sphere(float(shape.radius)), coal.Transform3s(np.eye(3), origin)
+        return pin.SE3(np.eye(3), center), coal.Sphere(shape.radius)
     if isinstance(shape, Capsule):
-        half = 0.5 * (shape.end - shape.start)
-        return coal.Capsule(float(shape.radius), 2 * float(np.linalg.norm(half))), _placed(origin - half, origin + half)
+        return pin.SE3(rotation, center), coal.Capsule(shape.radius, float(np.linalg.norm(shape.end - shape.start)))
     if isinstance(shape, HalfSpace):
-        return coal.Halfspace(np.array(shape.normal), float(shape.normal @ origin)), coal.Transform3s.Identity()
+        return pin.SE3.Identity(), coal.Halfspace(shape.normal, float(shape.normal @ center))
     raise TypeError(f"{type(shape).__name__} is no shape of kinecast.geometry.shapes")

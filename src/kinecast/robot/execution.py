@@ -142,15 +142,6 @@ class Executor:
             self.q, self.qd, self.qdd = self._at(self._clock)
         return self._state()
 
-    def ahead(
-        self, seconds: float, scale: float = 1.0
-    ) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-        """The state that `step(scale)` will have reached after this time [s]: plans may start there."""
-        clock = self._clock
-        for _ in range(round(seconds / self.dt)):
-            clock = self._later(clock, scale)
-        return self._at(clock)
-
     def stopping(self, after: float = 0.0) -> tuple[Float[np.ndarray, "6"], float]:
         """Where the arm comes to rest if it brakes after a while [s] (6,) [rad], and when [s from now]."""
         clock, steps = self._clock, 0
@@ -192,12 +183,10 @@ class Executor:
 
 
 def within_limits(trajectory: Trajectory, arm: UR5) -> Trajectory:
-    """The motion as it is followed: slowed down where the arm could not follow, unless it begins in motion."""
+    """The motion as it is followed: slowed down where the arm could not follow."""
     limits = np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
-    used = np.stack(trajectory.peaks()) / (SHARE[:, None] * limits)
-    slower = float((used.max(axis=1) ** (1.0 / np.array([1, 2, 3]))).max())
-    moving = np.any(trajectory.start_velocity) or np.any(trajectory.start_acceleration)
-    return trajectory if slower <= 1 or moving else trajectory.stretched(slower)
+    slower = trajectory.excess(SHARE[:, None] * limits)
+    return trajectory if slower <= 1 else trajectory.stretched(slower)
 
 
 class _Path:

@@ -7,14 +7,13 @@ its direction q6, and what is left is a triangle in the plane of upper arm and f
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["branches", "turns"]
+__all__ = ["branches"]
 
 D1, A2, A3, D4, D5, D6 = 0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823
 """Denavit-Hartenberg lengths [m], as in data/ur5.urdf (a test compares them)."""
@@ -43,27 +42,6 @@ def branches(T_base_flange: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"
         for q2, q3, q4 in _triangles(T, q1, q5, q6)
     ]
     return _wrapped(np.array(found).reshape(-1, 6))
-
-
-def turns(q: Float[np.ndarray, "B 6"], q_range: Float[np.ndarray, "6 2"]) -> Float[np.ndarray, "C 6"]:
-    """The same places of the arm with every joint a full turn on or back, where its range allows.
-
-    Args:
-        q: (B, 6) angles in (−π, π] [rad].
-        q_range: (6, 2) [rad].
-
-    Returns:
-        (C, 6) [rad], those that need no turns first.
-    """
-    found = []
-    for row in q:
-        choices = [
-            [angle for angle in (each, each - 2 * np.pi, each + 2 * np.pi) if low <= angle <= high]
-            for each, (low, high) in zip(row, q_range, strict=True)
-        ]
-        found += list(itertools.product(*choices))
-    rows = np.array(found, dtype=np.float64).reshape(-1, 6)
-    return rows[np.argsort(np.abs(rows).max(axis=1, initial=0.0) > np.pi, kind="stable")]
 
 
 def _pans(T: Float[np.ndarray, "4 4"]) -> Iterator[float]:

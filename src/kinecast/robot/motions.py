@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from kinecast.robot.occupancy import Occupancy, OccupancyOptions
-from kinecast.robot.regions import STARTS, STOPS, body_points, regions
+from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.robot.body import OccupancyOptions, body_capsules
+from kinecast.robot.occupancy import Occupancy, regions
 from kinecast.types import Prediction
 
 __all__ = ["STEP", "Motions", "PoseHistory", "likely", "motions_of"]
@@ -49,17 +50,13 @@ class Motions:
     """S possible motions of everybody's K capsules at N instants, `STEP` apart, from now on.
 
     Attributes:
-        arms: (S, N, P, 6, 3) the arms of P persons [m].
         start, end: (S, N, K, 3) of the capsules [m].
         radius: (K,) [m].
-        lengths: of hand, trunk and neck [m].
     """
 
-    arms: Float[np.ndarray, "S N P 6 3"]
     start: Float[np.ndarray, "S N K 3"]
     end: Float[np.ndarray, "S N K 3"]
     radius: Float[np.ndarray, " K"]
-    lengths: tuple[float, float, float]
 
 
 class PoseHistory:
@@ -154,11 +151,8 @@ def motions_of(
         [_arms(prediction, history, now, rng) for prediction, history in zip(predictions, histories, strict=True)],
         axis=2,
     )
-    lengths = (options.hand_length, options.trunk_length, options.head_height)
-    points = body_points(np.ascontiguousarray(arms).reshape(-1, 6, 3), *lengths)
-    whole = (*arms.shape[:2], -1, 3)
-    start, end = (np.ascontiguousarray(points[:, ends]).reshape(whole) for ends in (STARTS, STOPS))
-    return Motions(arms, start, end, np.tile(options.radii, len(predictions)), lengths)
+    body, whole = body_capsules(ARM_JOINTS, arms, options), (*arms.shape[:2], -1, 3)
+    return Motions(body.start.reshape(whole), body.end.reshape(whole), np.tile(body.radius, len(predictions)))
 
 
 def _arms(
@@ -182,13 +176,6 @@ def _arms(
 def likely(motions: Motions, now: float, seconds: float = 4.0, level: float = 0.5) -> Occupancy:
     """Capsules that hold each limb in a share of the motions, for so long [s]; the last stay."""
     count = min(round(seconds / STEP) + 1, motions.start.shape[1])
-    rows = np.concatenate(
-        [
-            regions(np.ascontiguousarray(motions.arms[:, :count, person]), *motions.lengths, level)
-            for person in range(motions.arms.shape[2])
-        ],
-        axis=1,
-    )
-    start, end, spread = np.split(rows, [3, 6], axis=-1)
-    times = now + STEP * np.arange(count)
-    return Occupancy(now, times, start, end, spread[..., 0] + motions.radius, growth_limit=0.0)
+    rows = regions(motions.start[:, :count], motions.end[:, :count], level)
+    rows[..., 6] += motions.radius
+    return Occupancy(now + STEP * np.arange(count), rows)

@@ -1,42 +1,56 @@
-"""Plans: CHOMP first, from a straight way; where it fails, from a path that RRTConnect found; always checked finely."""
+"""Plans: straight, pushed free by CHOMP, or along a path that RRTConnect found; always checked finely by coal.
+
+People are no obstacles (docs/decisions/0028): a way may bend where they would slow the arm down.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.geometry.scene import Scene
-from kinecast.robot.attempt import Attempt, PlannerOptions
+from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
-from kinecast.robot.errand import nearest, postures
 from kinecast.robot.occupancy import Occupancy
-from kinecast.robot.seeding import Seeder
+from kinecast.robot.pick_place import nearest, postures
+from kinecast.robot.seeding import evenly, searched
 from kinecast.robot.separation import SeparationOptions
-from kinecast.robot.trajectory import Trajectory
+from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["BEGUN_BY", "NoPlan", "Plan", "Planner", "PlannerOptions"]
+__all__ = ["SPEED", "NoPlan", "Plan", "Planner"]
 
-SEARCH_MARGINS = ((0.01, 0.003, 0.003), (0.001, 0.003, 0.003), (0.001, 0.0, 0.0))
-"""Kept by searched paths from persons' regions, from the scene and from the arm itself [m], in turn: what follows them
-cuts corners."""
-GOALS_AT_ONCE = 24
-ENOUGH_GOALS = 8
-"""Free goals that are enough; they are looked for by so many at once."""
-BEGUN_BY = 0.6
-"""Share of the budget after which nothing new is begun: what is under way takes its time."""
+SPEED, ACCELERATION, JERK = 1.57, 4.0, 75.0
+"""Greatest of an angle [rad/s, rad/s^2, rad/s^3]: half of the speed that the arm can do, as beside people nothing is
+gained by more; less than half of its acceleration and jerk, the rest is for braking."""
+TOLERANCE = 1.02
+"""A motion that needs so many times its time to be within these is within them."""
+SHORTEST = 0.4
+"""Duration of the shortest motion [s]."""
+WAYPOINTS, BENT_WAYPOINTS = 40, 24
+"""Of a path, and of one that bends around people."""
+LEG = 14
+"""Waypoints of a straight leg between two corners."""
+STRAIGHT_GOALS = 2
+"""Goals tried from a straight way, the best first."""
+SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)
+"""Least distances from the scene that the descent keeps, in turn [m]."""
+SEARCH_MARGINS = (0.003, 0.001)
+"""Kept by searched paths [m], in turn: what follows them cuts corners."""
 WANTED = 1.0
 """Speed of a body point that the arm wants beside people [m/s]: about what it reaches on the way to a cube."""
+TIME_WEIGHT = 0.3
+"""Of the time lost beside people, in the cost of a way."""
 DRAWN_IN = (0.3, 0.3)
 """Distance from the arm's axis and height of a hand that is drawn in [m]."""
-ROOM = 0.1
-ROOM_WORTH = 2.0
-"""So much room around a goal [m], from persons, the scene and the arm itself, is worth a later arrival [s/m]."""
+ROOM, ROOM_WORTH = 0.1, 2.0
+"""So much room around a goal [m], from the scene and from the arm itself, is worth a later arrival [s/m]."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +59,13 @@ class Plan:
 
     Attributes:
         trajectory: from the start to one of the goals.
-        clearance: least distance to persons' regions along it [m], no more than 2 m.
-        solved_by: `chomp`, `chomp from rrt` or `rrt`.
-        milliseconds: it took to plan.
         goal: index of the goal it leads to.
+        solved_by: `chomp`, `chomp from rrt` or `rrt`.
     """
 
     trajectory: Trajectory
-    clearance: float
-    solved_by: str
-    milliseconds: float
     goal: int = 0
+    solved_by: str = "chomp"
 
 
 @dataclass(frozen=True)
@@ -64,62 +74,78 @@ class NoPlan:
 
     Attributes:
         reason: in words.
-        milliseconds: it took to find that out.
     """
 
     reason: str
-    milliseconds: float = 0.0
 
 
 class Planner:
-    """Plans motions of an arm in a scene among people.
+    """Plans motions of an arm in a scene.
 
     Args:
         arm: the arm.
         scene: what stands around it.
-        options: see PlannerOptions.
+        searches: searched paths that are begun with where straight ways fail.
+        iterations: most of one search, about 0.5 ms each.
     """
 
-    def __init__(self, arm: UR5, scene: Scene | None = None, options: PlannerOptions | None = None) -> None:
-        self.arm = arm
-        self.options = options or PlannerOptions()
+    def __init__(self, arm: UR5, scene: Scene | None = None, searches: int = 1, iterations: int = 150) -> None:
+        self.arm, self.searches, self.iterations = arm, searches, iterations
         self.checker = CollisionChecker(arm, scene)
-
-    @property
-    def scene(self) -> Scene:
-        """What stands around the arm."""
-        return self.checker.scene
+        self._chomp = Chomp(arm, self.checker.scene.rows(np.zeros(1))[0])
 
     def plan(
         self,
         q: Float[np.ndarray, "6"],
         goals: Float[np.ndarray, "G 6"],
-        occupancy: Occupancy,
         start_time: float,
-        budget: float = 0.1,
-        velocity: Float[np.ndarray, "6"] | None = None,
-        acceleration: Float[np.ndarray, "6"] | None = None,
+        seconds: float = math.inf,
         seed: int = 0,
     ) -> Plan | NoPlan:
-        """A motion to whichever goal is reached soonest and free.
+        """A motion to whichever goal is reached soonest and free, with room around it.
 
         Args:
-            q: (6,) where the arm is at the start time [rad].
+            q: (6,) where the arm rests at the start time [rad].
             goals: (G, 6) [rad], any of them will do.
-            occupancy: where people may be, each at its time.
-            start_time: when the motion starts [s], on the occupancy's clock.
-            budget: time until an answer is due [s]; past 0.6 of it no descent is begun any more.
-            velocity, acceleration: (6,) of the arm at the start, if it is moving [rad/s, rad/s^2].
+            start_time: when the motion starts [s].
+            seconds: after which nothing new is begun; without an end the plan depends on the question alone.
             seed: of the search.
 
         Returns:
             A plan that was checked, or why there is none.
         """
-        begin = time.perf_counter()
-        job = Attempt(self.checker, self.options, q, occupancy, start_time, velocity, acceleration)
-        answer: Plan | str = self._attempt(job, np.asarray(goals, dtype=np.float64), begin + BEGUN_BY * budget, seed)
-        took = 1e3 * (time.perf_counter() - begin)
-        return NoPlan(answer, took) if isinstance(answer, str) else replace(answer, milliseconds=took)
+        end = time.perf_counter() + seconds
+        if not np.isfinite(q).all():
+            return NoPlan("the arm's state is not known")
+        if self.checker.touched(q):
+            return NoPlan("the arm touches the scene or itself")
+        if len(goals) == 0 or not np.isfinite(goals).all():
+            return NoPlan("the goal is out of reach")
+        order = self._usable(q, goals)
+        if not len(order):
+            return NoPlan("the goal is blocked by the scene or the arm itself")
+        blocked = ""
+        for k in order[:STRAIGHT_GOALS]:
+            found = self._pushed(np.stack([q, goals[k]]), start_time, end)
+            if isinstance(found, Trajectory):
+                return Plan(found, int(k))
+            blocked = found
+        for attempt in range(self.searches):
+            left = end - time.perf_counter()
+            if left <= 0:
+                return NoPlan(f"{blocked} is in the way; no way around it found in time")
+            margin = SEARCH_MARGINS[attempt % len(SEARCH_MARGINS)]
+            # Wide ways first; half of the time is kept for narrow ones.
+            corners = searched(self.checker, q, goals[order], margin, 0.5 * left, self.iterations, seed + attempt)
+            if corners is None:
+                continue
+            k = order[np.abs(goals[order] - corners[-1]).max(axis=1).argmin()]
+            for name, way in (("chomp from rrt", self._pushed), ("rrt", self._legs)):
+                found = way(corners, start_time, end)
+                if isinstance(found, Trajectory):
+                    return Plan(found, int(k), name)
+                blocked = found
+        return NoPlan(f"{blocked} is in the way; no way around it")
 
     def bent(
         self,
@@ -140,15 +166,17 @@ class Planner:
             start_time: [s].
             separation: of monitoring.
         """
-        job = Attempt(self.checker, self.options, q, Occupancy.empty(start_time), start_time)
         half = separation.least_speed + separation.braking * separation.reaction
-        slowing = (separation.constant, half, separation.braking, WANTED, 0.3)
-        chomp = replace(self.options.chomp, person_margin=0.0, waypoints=24, least_iterations=25, most_iterations=40)
         goal = goals[plan.goal]
-        for corners in (None, *self._inside(q, goal)):
-            trajectory = job.bent(goal, corners, people, slowing, chomp)
-            if trajectory is not None:
-                yield Plan(trajectory, plan.clearance, "chomp", 0.0, plan.goal)
+        for corners in (np.stack([q, goal]), *self._inside(q, goal)):
+            path, times = _along(corners, BENT_WAYPOINTS, start_time)
+            beside = People(
+                people.rows_at(times), separation.constant, half, separation.braking, WANTED, TIME_WEIGHT
+            )  # fmt: skip
+            path, _, _ = self._chomp.optimise(path, _straight(path), SCENE_MARGINS[0], beside, 25, 40)
+            trajectory = _slow_enough(Trajectory(times, path))
+            if not self.checker.check(trajectory):
+                yield Plan(trajectory, plan.goal)
 
     def _inside(self, q: Float[np.ndarray, "6"], goal: Float[np.ndarray, "6"]) -> list[Float[np.ndarray, "3 6"]]:
         """Corners of a way past the arm's own foot, the hand drawn in; none where it cannot be."""
@@ -159,80 +187,66 @@ class Planner:
         found = nearest(postures(self.arm, T), 0.5 * (q + goal), self.arm.q_range, 1)
         return [np.stack([q, middle, goal]) for middle in found]
 
-    def _attempt(self, job: Attempt, goals: Float[np.ndarray, "G 6"], end: float, seed: int) -> Plan | str:
-        """A plan, or the reason why there is none."""
-        options = self.options
-        reason = job.bad_start()
-        if reason:
-            return reason
-        order, arrivals, reason = self._usable(job, goals)
-        if reason:
-            return reason
-        blocked = ""
-        for k in order[: options.straight_goals]:
-            found = job.solve(goals[k], until=end)
-            if isinstance(found, tuple):
-                return Plan(found[0], found[1].person, "chomp", 0.0, int(k))
-            blocked = found
-            if time.perf_counter() > end:
-                return f"{blocked}; no time left"
-        last = float(arrivals[order].min())
-        for attempt in range(options.seeded):
-            left = end - time.perf_counter()
-            if left <= 0:
-                return f"{blocked}; no way around it found in time"
-            # Wide ways first; half of the time is kept for narrow ones.
-            margins = SEARCH_MARGINS[attempt % len(SEARCH_MARGINS)]
-            corners = self._way_around(job, goals[order], last, margins, 0.5 * left, seed + attempt)
-            if corners is None:
-                continue
-            k = int(order[np.abs(goals[order] - corners[-1]).max(axis=1).argmin()])
-            found = job.solve(goals[k], corners, end)
-            if isinstance(found, tuple):
-                return Plan(found[0], found[1].person, "chomp from rrt", 0.0, k)
-            found = job.legs(corners)
-            if isinstance(found, tuple):
-                return Plan(found[0], found[1].person, "rrt", 0.0, k)
-            blocked = found
-        return f"{blocked}; no way around it"
+    def _usable(self, q: Float[np.ndarray, "6"], goals: Float[np.ndarray, "G 6"]) -> Int[np.ndarray, " U"]:
+        """Goals that are free, the best first: soon reached, with room around."""
+        clear = np.array([self.checker.clearance(goal) for goal in goals])
+        price = [_duration(goal - q) for goal in goals] - ROOM_WORTH * np.minimum(clear, ROOM).sum(axis=1)
+        best = np.argsort(price, kind="stable")
+        return best[(clear[best] > 0).all(axis=1)]
 
-    def _way_around(
-        self,
-        job: Attempt,
-        goals: Float[np.ndarray, "G 6"],
-        last: float,
-        margins: tuple[float, float, float],
-        seconds: float,
-        seed: int,
-    ) -> Float[np.ndarray, "M 6"] | None:
-        """Corners of a path past all that may be filled until the end, or, where that leaves no way, soon, or now."""
-        duration = last - job.start_time
-        for share in (1.0, 0.5, 0.0):
-            times = job.start_time + duration * share * np.linspace(0.0, 1.0, 5)
-            seeder = Seeder(self.checker, job.occupancy, times, margins)
-            if seeder.keeps(job.q) and any(seeder.keeps(goal) for goal in goals):
-                return seeder.path(job.q, goals, seconds, self.options.search_iterations, seed)
-        return None
+    def _pushed(self, corners: Float[np.ndarray, "M 6"], start_time: float, end: float) -> Trajectory | str:
+        """A checked motion along corners that CHOMP has pushed free, or what was in its way.
 
-    def _usable(
-        self, job: Attempt, goals: Float[np.ndarray, "G 6"]
-    ) -> tuple[Int[np.ndarray, " U"], Float[np.ndarray, " G"], str]:
-        """Goals that are free on arrival, the best first: soon reached, with room around; arrivals [s]; why none is."""
-        if len(goals) == 0 or goals.shape[1:] != (6,) or not np.isfinite(goals).all():
-            return np.empty(0, dtype=np.int64), np.empty(len(goals)), "the goal is out of reach"
-        arrivals = job.start_time + np.array([job.duration(goal) for goal in goals])
-        soonest = np.argsort(arrivals, kind="stable")
-        reason = "the goal is blocked by the scene or the arm itself"
-        found: dict[int, float] = {}
-        for some in np.array_split(soonest, max(len(soonest) // GOALS_AT_ONCE, 1)):
-            clear = self.checker.clearances(goals[some], arrivals[some], job.occupancy)
-            stands = (clear[:, 1:] > 0).all(axis=1)
-            if stands.any():
-                reason = "the goal is in a person's region"
-            price = arrivals[some] - ROOM_WORTH * np.minimum(clear, ROOM).sum(axis=1)
-            free = stands & (clear[:, 0] > 0.5 * self.checker.step)
-            found.update(zip(some[free].tolist(), price[free].tolist(), strict=True))
-            if len(found) >= ENOUGH_GOALS:
-                break
-        best = sorted(found, key=lambda goal: found[goal])
-        return np.array(best, dtype=np.int64), arrivals, "" if found else reason
+        Nothing but the first descent is begun later than the end [s, time.perf_counter].
+        """
+        path, times = _along(corners, WAYPOINTS, start_time)
+        straight, blocked = _straight(path), ""
+        for margin in SCENE_MARGINS:
+            path, excess, _ = self._chomp.optimise(path, straight, margin)
+            trajectory = _slow_enough(Trajectory(times, path))
+            blocked = self.checker.check(trajectory)
+            if not blocked:
+                return trajectory
+            if excess <= 0 or time.perf_counter() > end:
+                break  # stuck: wider margins would not free it
+        return blocked
+
+    def _legs(self, corners: Float[np.ndarray, "M 6"], start_time: float, _end: float) -> Trajectory | str:
+        """A checked motion straight from corner to corner, at rest in each, or what was in its way."""
+        times, q = [np.array([start_time])], [corners[:1]]
+        for start, goal in pairwise(corners):
+            times.append(times[-1][-1] + np.linspace(0.0, _duration(goal - start), LEG)[1:])
+            q.append(start + minimum_jerk(LEG)[1:, None] * (goal - start))
+        trajectory = Trajectory(np.concatenate(times), np.concatenate(q))
+        return self.checker.check(trajectory) or trajectory
+
+
+def _along(
+    corners: Float[np.ndarray, "M 6"], count: int, start_time: float
+) -> tuple[Float[np.ndarray, "count 6"], Float[np.ndarray, " count"]]:
+    """Waypoints along straight legs, with the speed of least jerk over all of them, and their times [s]."""
+    path = evenly(corners, minimum_jerk(count))
+    return path, start_time + np.linspace(0.0, _duration(np.abs(np.diff(path, axis=0)).sum(axis=0)), count)
+
+
+def _straight(path: Float[np.ndarray, "W 6"]) -> Float[np.ndarray, "W 6"]:
+    """The path of least jerk between the ends of another."""
+    straight: Float[np.ndarray, "W 6"] = path[0] + minimum_jerk(len(path))[:, None] * (path[-1] - path[0])
+    return straight
+
+
+def _duration(way: Float[np.ndarray, "6"]) -> float:
+    """Of a motion of least jerk from rest to rest along a way of each angle [rad], within the limits [s]."""
+    longest = float(np.abs(way).max())
+    return max(
+        1.875 * longest / SPEED,
+        float(np.sqrt(5.7735 * longest / ACCELERATION)),
+        float(np.cbrt(60.0 * longest / JERK)),
+        SHORTEST,
+    )
+
+
+def _slow_enough(trajectory: Trajectory) -> Trajectory:
+    """The motion in as much time as the limits need."""
+    excess = trajectory.excess(np.array([SPEED, ACCELERATION, JERK]), 100)
+    return trajectory.stretched(excess) if excess > TOLERANCE else trajectory

@@ -7,19 +7,19 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from kinecast.robot.body import TRUE_BODY, body_capsules
+from kinecast.robot.body import TRUE_BODY, OccupancyOptions, body_capsules
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
 from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
-from kinecast.robot.errand import nearest, postures
 from kinecast.robot.execution import Executor
 from kinecast.robot.person import Person, ReactivePerson
-from kinecast.robot.planner import Planner, PlannerOptions
+from kinecast.robot.pick_place import nearest, postures
+from kinecast.robot.planner import Planner
 from kinecast.robot.planning_desk import DeferredDesk, Solve
 from kinecast.robot.separation import Separation, SeparationOptions, separation
-from kinecast.robot.supervisor import Command, Supervisor, SupervisorOptions
+from kinecast.robot.supervisor import Command, Supervisor
 from kinecast.robot.ur5 import UR5, LinkCapsules
 from kinecast.types import Prediction, SkeletonFrame
 
@@ -30,8 +30,6 @@ Predict = Callable[[SkeletonFrame, float], Prediction | None]
 
 MOMENT = 0.01
 """A person's true speed is taken over this time [s]."""
-QUICK = PlannerOptions(straight_goals=2, seeded=1, search_iterations=150)
-"""As much as can be done in the latency of a plan."""
 SHOWN = 60
 """Samples kept for pictures."""
 TRUTH = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0, across=0.0)
@@ -48,7 +46,7 @@ class Simulation:
         predict: the predictor.
         camera: what the arm sees of them.
         cell: what is to be done.
-        options: how the foreman decides.
+        body: radii of the people's limbs.
         solve: the planner; the arm's own by default.
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
@@ -61,7 +59,7 @@ class Simulation:
         predict: Predict,
         camera: Camera | None = None,
         cell: Cell | None = None,
-        options: SupervisorOptions | None = None,
+        body: OccupancyOptions | None = None,
         solve: Solve | None = None,
         dt: float = 0.008,
         limit: float = 120.0,
@@ -73,10 +71,9 @@ class Simulation:
         q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
-        options = options or SupervisorOptions()
-        chooser = Chooser(Planner(self.arm, self.cell.scene, QUICK), self.cell, options.choice)
+        chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
         self.desk = DeferredDesk(solve or chooser.choose, clock=clock)
-        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, options)
+        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, body)
         self.episode = Episode()
 
     def run(self) -> Episode:
@@ -161,12 +158,11 @@ class Simulation:
 
     def _snapshot(self, now: float, command: Command) -> SceneSnapshot:
         """What a picture of this moment needs."""
-        outlook = self.supervisor.outlook
+        people = self.supervisor.people
         region = np.empty((0, 0, 2, 3))
-        if outlook.predictions:
-            samples = outlook.predictions[0].samples
+        if people.predictions:
+            samples = people.predictions[0].samples
             region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
-        start, end, radius = outlook.occupancy(now).at(now + 0.25)
         ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
         poses = [(person.joints, person.at(now)) for person in self.people]
         return SceneSnapshot(
@@ -175,7 +171,7 @@ class Simulation:
             people=tuple((joints, pose) for joints, pose in poses if pose is not None),
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
-            tube=np.concatenate([start, end, radius[:, None]], axis=1),
+            tube=people.occupancy(now, now + 0.25),
             way=np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead]),
             decision=command.decision,
         )

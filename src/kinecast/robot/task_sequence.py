@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
-from kinecast.errors import OptionError
-
-__all__ = ["SequenceOptions", "TaskSequence"]
+__all__ = ["TaskSequence"]
 
 
-@dataclass(frozen=True)
-class SequenceOptions:
-    """When a cube counts as the person's. Two thresholds and a delay, so that the arm does not dither.
-
-    Attributes:
-        taken: probability from which on a cube is the person's, at once.
-        free: probability below which it may be the arm's again …
-        after: … once it has stayed below for so long [s].
-    """
-
-    taken: float = 0.5
-    free: float = 0.2
-    after: float = 0.5
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.free < self.taken <= 1.0:
-            raise OptionError(f"free {self.free} and taken {self.taken}: must rise from 0 to 1")
-        if not self.after >= 0.0:
-            raise OptionError(f"after {self.after} s must be 0 or more")
+TAKEN = 0.5
+"""Probability from which on a cube is the person's, at once."""
+FREE, AFTER = 0.2, 0.5
+"""Probability below which it may be the arm's again, once it has stayed below for so long [s]."""
 
 
 class TaskSequence:
@@ -36,11 +18,9 @@ class TaskSequence:
 
     Args:
         order: names of the cubes.
-        options: see SequenceOptions.
     """
 
-    def __init__(self, order: tuple[str, ...], options: SequenceOptions | None = None) -> None:
-        self.options = options or SequenceOptions()
+    def __init__(self, order: tuple[str, ...]) -> None:
         self.remaining = list(order)
         self.given_up: list[str] = []
         self.probabilities = dict.fromkeys(order, 0.0)
@@ -56,15 +36,15 @@ class TaskSequence:
         """
         for name, probability in probabilities.items():
             self.probabilities[name] = probability
-            if probability >= self.options.taken:
+            if probability >= TAKEN:
                 self._taken[name], self._low_since[name] = True, None
-            elif probability > self.options.free:
+            elif probability > FREE:
                 self._low_since[name] = None
             elif self._taken[name]:
                 since = self._low_since[name]
                 since = now if since is None else since
                 self._low_since[name] = since
-                self._taken[name] = now - since < self.options.after
+                self._taken[name] = now - since < AFTER
 
     def is_taken(self, name: str) -> bool:
         """Whether the cube is the person's for now."""

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from kinecast.robot.conduct import Conduct, Level
-from kinecast.robot.errand import Step
-from kinecast.robot.pace import Restraint
+from kinecast.robot.pick_place import Step
+from kinecast.robot.speed_limit import Level, LimitReason, SpeedHysteresis
 from kinecast.robot.task_sequence import TaskSequence
 from kinecast.types import Reaction, RobotState
 
 __all__ = ["reason_of", "state_of"]
 
 
-def state_of(step: Step, finished: bool, has_path: bool, searching: bool, conduct: Conduct) -> RobotState:
+def state_of(step: Step, finished: bool, has_path: bool, searching: bool, going: SpeedHysteresis) -> RobotState:
     """The state's name.
 
     Args:
-        step: of the errand.
+        step: of the pick and place.
         finished: nothing is left to do.
         has_path: there is a path to follow.
         searching: another one is sought meanwhile.
-        conduct: how fast it goes, and what holds it back.
+        going: how fast it goes, and what holds it back.
     """
-    held = has_path and conduct.level is Level.HELD
-    if conduct.cause in (Restraint.SILENCE, Restraint.UNSEEN) or (held and conduct.cause is Restraint.SEPARATION):
+    held = has_path and going.level is Level.HELD
+    if going.reason in (LimitReason.SILENCE, LimitReason.UNSEEN) or (held and going.reason is LimitReason.SEPARATION):
         return RobotState.STOPPED
     if finished:
         return RobotState.DONE
@@ -34,7 +33,7 @@ def state_of(step: Step, finished: bool, has_path: bool, searching: bool, conduc
         return RobotState.PLACING
     if held or not has_path:
         return RobotState.WAITING
-    return RobotState.SLOWED if conduct.level is Level.SLOW else RobotState.MOVING
+    return RobotState.SLOWED if going.level is Level.SLOW else RobotState.MOVING
 
 
 def reason_of(
@@ -42,7 +41,7 @@ def reason_of(
     step: Step,
     target: str | None,
     reaction: Reaction | None,
-    cause: Restraint,
+    cause: LimitReason,
     sequence: TaskSequence,
     trouble: str,
 ) -> str:
@@ -56,8 +55,8 @@ def reason_of(
         return f"The person reaches for {' and '.join(taken) or 'the cube'}: {instead}."
     if state is RobotState.STOPPED:
         return {
-            Restraint.SILENCE: "The camera is silent: nobody knows who is there.",
-            Restraint.UNSEEN: "Somebody is there whose arms were never seen.",
+            LimitReason.SILENCE: "The camera is silent: nobody knows who is there.",
+            LimitReason.UNSEEN: "Somebody is there whose arms were never seen.",
         }.get(cause, "A person is too near to move.")
     if state is RobotState.DONE:
         missing = f", without {' and '.join(sequence.given_up)}: no way there" if sequence.given_up else ""
@@ -69,6 +68,6 @@ def reason_of(
     if state is RobotState.REPLANNING:
         return f"Another path is sought {errand}; meanwhile it slows down."
     if state is RobotState.SLOWED:
-        why = "nobody can say what the person will do" if cause is Restraint.DOUBT else "a person is near"
+        why = "nobody can say what the person will do" if cause is LimitReason.DOUBT else "a person is near"
         return f"On the way {errand}, slowly: {why}."
     return f"{errand[0].upper()}{errand[1:]}."

@@ -24,10 +24,11 @@ from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
+from kinecast.live.drawing import points, pose
 from kinecast.live.message import MessageError
-from kinecast.live.message_file import message, recordings_of
+from kinecast.live.message_file import Said, recordings_of
 from kinecast.pipeline import merged_frames
-from kinecast.ros.messages import Distribution, messages_of, points, upright
+from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
 from kinecast.ros.transport import Callback, Transport
 from kinecast.types import SkeletonFrame
@@ -49,7 +50,7 @@ def load(path: Path) -> list[Recording]:
     once: dict[tuple[str, float], SkeletonFrame] = {}
     for frame in frames:
         once.setdefault((frame.person, frame.stamp), frame)
-    found = recordings_of(((str(path), message(frame, None)) for frame in once.values()), path, "bag")
+    found = recordings_of((Said(str(path), frame) for frame in once.values()), path, "bag")
     return [replace(each, rate=float(f"{each.rate:.6g}")) for each in found]  # not what nanoseconds make of it
 
 
@@ -70,7 +71,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
                 "scale": dict.fromkeys("xyz", DIAMETER), "color": dict.fromkeys("rgba", 1.0), "lifetime": 0.5,
             }  # fmt: skip
             placed = enumerate(zip(frame.joints, points(frame.positions), strict=True))
-            markers = [common | {"id": id_, "text": joint, "pose": upright(at)} for id_, (joint, at) in placed]
+            markers = [common | {"id": id_, "text": joint, "pose": pose(at)} for id_, (joint, at) in placed]
             writer.write(SKELETONS, MARKERS, writer.messages.encode(MARKERS, {"markers": markers}), frame.stamp)
     finally:
         writer.close()

@@ -13,17 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 from rosbags.typesys.store import Typestore
 
+from kinecast.errors import OptionError
 from kinecast.live.message import MessageError
 
 LARGEST = 1 << 20  # bytes of a message that is read; a ZED camera's has 2 kB a person
 LONGEST = 10_000  # elements of a sequence that is read
-Fields = dict[str, Any]  # values of a message by name; see `Messages.encode`
 
 _HERE = Path(__file__).parent
 _CLOCKS = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
@@ -41,6 +40,14 @@ class Distribution(Enum):
     def generation(self) -> int:
         """1 or 2."""
         return 1 if self is Distribution.NOETIC else 2
+
+
+def ros2_release(name: str, what: str) -> Distribution:
+    """A release of ROS 2 by its name; an OptionError, which says what the name is, for another."""
+    known = {each.value: each for each in Distribution if each.generation == 2}
+    if name not in known:
+        raise OptionError(f"{what} {name!r}, expected {' or '.join(known)}")
+    return known[name]
 
 
 class Messages:
@@ -111,16 +118,6 @@ class Messages:
 
 
 messages_of = cache(Messages)  # read once
-
-
-def points(positions: Float[np.ndarray, "N 3"]) -> list[Fields]:
-    """Fields of a geometry_msgs/Point each [m]."""
-    return [{"x": x, "y": y, "z": z} for x, y, z in positions.tolist()]
-
-
-def upright(position: Fields) -> Fields:
-    """Fields of a geometry_msgs/Pose that is not turned."""
-    return {"position": position, "orientation": {"w": 1.0}}
 
 
 def _clock(seconds: float) -> dict[str, int]:

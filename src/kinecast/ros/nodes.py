@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.errors import OptionError
-from kinecast.ros.messages import Distribution, messages_of
+from kinecast.ros.messages import Distribution, messages_of, ros2_release
 from kinecast.ros.transport import CLOSING, Callback, Transport
 
 DEBIAN = Path("/usr/lib/python3/dist-packages")  # of Debian's and Ubuntu's system's packages, rospy among them
@@ -110,11 +110,7 @@ class Ros2Transport(Transport):
             raise OptionError(
                 f"ros2: no rclpy here ({error}): source ROS 2's setup.bash, or use dds:, which needs no ROS"
             ) from None
-        name = os.environ.get("ROS_DISTRO", "")
-        known = {each.value: each for each in Distribution if each.generation == 2}
-        if name not in known:
-            raise OptionError(f"ros2: ROS_DISTRO is {name!r}, expected {' or '.join(known)}")
-        super().__init__(messages_of(known[name]))
+        super().__init__(messages_of(ros2_release(os.environ.get("ROS_DISTRO", ""), "ros2: ROS_DISTRO is")))
         self._context = self._rclpy.Context()
         self._rclpy.init(context=self._context)
         self._node = self._rclpy.create_node(NODE, context=self._context)

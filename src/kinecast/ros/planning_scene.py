@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.live.publication import Publication, arms_of
-from kinecast.ros.messages import Fields, points, upright
+from kinecast.live.drawing import Fields, points, pose, turn_of_z
+from kinecast.live.publication import Publication
+from kinecast.track import arms_of
 from kinecast.types import LIMBS
 
 LIMB_NAMES = ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm")
@@ -55,7 +56,7 @@ class CollisionObjects:
             id_ = f"kinecast_{person}_{name}"
             length = float(np.linalg.norm(ends[1] - ends[0]))
             header = {"stamp": stamp, "frame_id": frame}
-            fields = {"header": header, "id": id_, "pose": upright({}), "primitive_poses": _poses(ends, length)}
+            fields = {"header": header, "id": id_, "pose": pose({}), "primitive_poses": _poses(ends)}
             known = self._known.get(id_)
             holds = known and 0 <= known.radius - radius <= SLACK and 0 <= known.length - length <= SLACK
             if known and holds and known.frame == frame and now - known.added < REFRESH:
@@ -81,8 +82,6 @@ class CollisionObjects:
         seen, too.
         """
         tubes = publication.tubes
-        if not len(tubes.radius):
-            return
         ends = np.stack((tubes.start, tubes.end), axis=-2)  # (T, 4, 2, 3)
         edges = np.linspace(0, len(tubes.radius) - 1, self._parts + 1).round().astype(int)
         for part, (low, high) in enumerate(pairwise(edges)):
@@ -96,10 +95,7 @@ class CollisionObjects:
                 yield f"{LIMB_NAMES[limb]}_{part}", centre[limb], float(reach[limb]) + self._thickness
 
 
-def _poses(ends: Ends, length: float) -> list[Fields]:
-    """Of the cylinder and the spheres; (1 + z·d, z × d), made unit, turns the cylinder's z axis to the other end."""
+def _poses(ends: Ends) -> list[Fields]:
+    """Of the cylinder and the spheres."""
     middle, start, end = points(np.vstack((ends.mean(axis=0), ends)))
-    x, y, z = ((ends[1] - ends[0]) / length).tolist() if length else (0.0, 0.0, 1.0)
-    w = float(np.sqrt((1 + z) / 2))
-    turn = {"x": -y / (2 * w), "y": x / (2 * w), "w": w} if z > -1 + 1e-9 else {"x": 1.0}
-    return [{"position": middle, "orientation": turn}, upright(start), upright(end)]
+    return [pose(middle, turn_of_z(ends[1] - ends[0])), pose(start), pose(end)]

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from kinecast.errors import OptionError
-from kinecast.live.publication import UPPER_TRIANGLE, Publication, arms_of, colour_of
-from kinecast.ros.messages import Fields, points, upright
+from kinecast.live.drawing import SEEN, THICK, THIN, Colour, Fields, fading, limb_ends, points, pose, rgba, words_of
+from kinecast.live.publication import UPPER_TRIANGLE, Publication, colour_of
 from kinecast.ros.planning_scene import CollisionObjects
-from kinecast.types import LIMBS, Status
+from kinecast.track import arms_of
+from kinecast.types import Status
 
 OUTPUTS = ("prediction", "markers", "poses", "planning_scene")
 _TYPES = {
@@ -30,13 +30,10 @@ MOST_PERSONS = 64  # with topics of their own, all through a run
 SAME_CLOCK = 60.0  # stamps within so much [s] of the ROS clock are of that clock, and go out as they came
 AT_LEAST = 0.1  # how long anything stays [s]
 
-Colour = tuple[float, float, float]
 LINE_LIST, TEXT, DELETE = 5, 9, 2  # types and an action of visualization_msgs/Marker
 MARKERS = range(3)  # ids of a person's markers: the arms now, their mean at every step, the status
-THICK, THIN, HIGH = 0.03, 0.01, 0.08  # lines and letters [m]
-ABOVE = np.array([0.0, 0.0, 0.3])  # where the words stand, from the highest joint [m]
+HIGH = 0.08  # letters [m]
 UNKNOWN_TURN = math.pi**2  # variance of an angle of which nothing is known [rad²]
-SEEN: Colour = (0.85, 0.85, 0.85)
 
 
 class Posting(NamedTuple):
@@ -94,16 +91,16 @@ class PredictionPublisher:
         stamp = prediction.stamp
         if abs(stamp - ros_now) > SAME_CLOCK:
             stamp = max(ros_now - (now - publication.acquired), 0.0)
-        horizon = float(prediction.times[-1] - prediction.stamp) if len(prediction.times) else 0.0
+        horizon = float(prediction.times[-1] - prediction.stamp)
         expires = max(publication.acquired + horizon, now + AT_LEAST)
         self._shown[publication.key] = publication.frame.frame_id, expires
         if "prediction" in outputs:
             yield self._posting("prediction", _distribution(publication, stamp))
         if "markers" in outputs:
             yield self._posting("markers", _markers(publication, stamp, expires - now))
-        if "poses" in outputs and token and len(prediction.times):
+        if "poses" in outputs and token:
             means = points(prediction.mean.reshape(-1, 3))  # the six joints' at the first step, then at the next, …
-            fields = {"header": _header(publication, stamp), "poses": [upright(each) for each in means]}
+            fields = {"header": _header(publication, stamp), "poses": [pose(each) for each in means]}
             yield Posting(self._topic(f"{token}/poses"), "geometry_msgs/PoseArray", fields)
             for joint, name in enumerate(prediction.joints):
                 if np.isfinite(prediction.mean[-1, joint]).all():
@@ -122,11 +119,6 @@ class PredictionPublisher:
                     common = {"header": {"frame_id": frame}, "ns": "/".join(key), "action": DELETE}
                     yield self._posting("markers", {"markers": [common | {"id": id_} for id_ in MARKERS]})
         yield from self._scene(self._objects.remove(now))
-
-    @property
-    def next_expiry(self) -> float:
-        """When something will have to be taken back; inf where there is nothing."""
-        return min((expires for _, expires in self._shown.values()), default=math.inf)
 
     def _scene(self, objects: list[Fields]) -> Iterator[Posting]:
         if objects:
@@ -186,7 +178,7 @@ def _joint_pose(publication: Publication, stamp: float, joint: int) -> Fields:
     (position,) = points(prediction.mean[-1, joint : joint + 1])
     return {
         "header": _header(publication, stamp + prediction.times[-1] - prediction.stamp),
-        "pose": {"pose": upright(position), "covariance": covariance.ravel()},
+        "pose": {"pose": pose(position), "covariance": covariance.ravel()},
     }
 
 
@@ -195,14 +187,14 @@ def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
 
     Joints that are NaN are left out. It stays for its lifetime [s] without a newer one.
     """
-    prediction, observed = publication.prediction, arms_of(publication.frame)
+    prediction = publication.prediction
     colour = colour_of(prediction.status)
-    fading = np.linspace(0.9, 0.2, len(prediction.mean), endpoint=False).tolist()
-    top = np.nanmax(observed, axis=0) if np.isfinite(observed).any() else np.zeros(3)
-    (place,) = points((top + ABOVE)[None])
-    words: Fields = {"type": TEXT, "text": f"{prediction.person}: {prediction.status.name}", "scale": {"z": HIGH}}
-    words |= {"color": _rgba(colour, 1.0), "pose": upright(place)}
-    drawn = _lines(observed[None], SEEN, [1.0], THICK), _lines(prediction.mean, colour, fading, THIN), words
+    text, place = words_of(publication)
+    drawn = (
+        _lines([arms_of(publication.frame)], SEEN, [1.0], THICK),
+        _lines(prediction.mean, colour, fading(len(prediction.mean)), THIN),
+        {"type": TEXT, "text": text, "scale": {"z": HIGH}, "color": rgba(colour, 1.0), "pose": pose(place)},
+    )
     common = {"header": _header(publication, stamp), "ns": "/".join(publication.key), "lifetime": lifetime}
     return {"markers": [common | {"id": id_} | each for id_, each in zip(MARKERS, drawn, strict=True)]}
 
@@ -211,17 +203,10 @@ def _header(publication: Publication, stamp: float) -> Fields:
     return {"stamp": stamp, "frame_id": publication.frame.frame_id}
 
 
-def _rgba(colour: Colour, opacity: float) -> Fields:
-    return dict(zip("rgba", (*colour, opacity), strict=True))
-
-
-def _lines(poses: Float[np.ndarray, "N 6 3"], colour: Colour, opacities: Sequence[float], width: float) -> Fields:
-    ends, colours = [], []
+def _lines(poses: Iterable[np.ndarray], colour: Colour, opacities: Sequence[float], width: float) -> Fields:
+    ends, colours = list[Fields](), list[Fields]()
     for arms, opacity in zip(poses, opacities, strict=True):
-        joints, seen = points(arms), np.isfinite(arms).all(axis=1)
-        for limb in LIMBS:
-            if seen[list(limb)].all():
-                ends += [joints[end] for end in limb]
-                colours += [_rgba(colour, opacity)] * 2
-    common = {"type": LINE_LIST, "color": _rgba(colour, 1.0), "scale": {"x": width}, "pose": upright({})}
+        ends += limb_ends(arms)
+        colours += [rgba(colour, opacity)] * (len(ends) - len(colours))
+    common = {"type": LINE_LIST, "color": rgba(colour, 1.0), "scale": {"x": width}, "pose": pose({})}
     return common | {"points": ends, "colors": colours}

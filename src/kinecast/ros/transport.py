@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import math
-import queue
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 
-from kinecast.live.counters import SinkCounters
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError
 from kinecast.live.publication import Publication
 from kinecast.live.sender_guard import SenderGuard
+from kinecast.live.sinks import Writing
 from kinecast.ros.messages import Messages
 from kinecast.ros.publisher import Posting, PredictionPublisher
 from kinecast.ros.subscriber import SkeletonSubscriber
 
 Callback = Callable[[str, bytes], None]
 """Takes a topic and the bytes of a message that came on it, in any thread."""
-LOOK, CLOSING = 0.5, 5.0  # longest waits for something to do, and for a thread to end: a network may hang [s]
+CLOSING = 5.0  # longest wait for a thread to end: a network may hang [s]
 
 
 class Transport(ABC):
@@ -95,58 +93,31 @@ class RosSource:
             self.feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
 
 
-class RosSink:
-    """Predictions on topics, from a thread of its own that also deletes what has expired. It closes its transport.
-
-    Of more publications than there is `room` for, the oldest that wait are dropped and counted.
-    """
+class RosSink(Writing[Publication]):
+    """Predictions on topics; what was drawn or put into a scene is deleted once it expires. It closes its transport."""
 
     def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:
-        self.address = address
-        self.counters = SinkCounters(address, "sent", OSError)
-        self._publisher = publisher
-        self._transport = transport
-        self._room = room
-        self._waiting: queue.Queue[Publication | None] = queue.Queue()
+        self._publisher, self._transport = publisher, transport
         for topic, type_ in publisher.topics.items():
             transport.messages.prepare(type_)
             transport.advertise(topic, type_)
-        self._thread = threading.Thread(target=self._run, name=address, daemon=True)
-        self._thread.start()
+        super().__init__(address, room, "sent")
 
     def publish(self, publication: Publication) -> None:
         """See kinecast.live.sinks.Sink."""
-        if self._waiting.qsize() >= self._room:
-            with suppress(queue.Empty):
-                self._waiting.get_nowait()
-                self.counters.drop()
-        self._waiting.put(publication)
+        self.put(publication, publication.acquired)
 
-    def close(self) -> None:
-        """Sends what waits, deletes all that was drawn or put into a scene, and ends."""
-        self._waiting.put(None)
-        self._thread.join(CLOSING)
-
-    def _run(self) -> None:
-        ended = False
-        while not ended:
-            with suppress(queue.Empty):
-                due = math.inf if self.counters.failure else self._publisher.next_expiry - time.monotonic()
-                publication = self._waiting.get(timeout=min(max(due, 0.0), LOOK))
-                if publication is None:
-                    ended = True
-                elif self.counters.attempt(self._tell, publication):
-                    self.counters.sent(time.monotonic() - publication.acquired)
-                else:
-                    self.counters.drop()
-            self.counters.attempt(self._send, self._publisher.take_back(math.inf if ended else time.monotonic()))
-        try:
-            self._transport.close()
-        except Exception as error:
-            self.counters.fail(error)
-
-    def _tell(self, publication: Publication) -> None:
+    def write(self, publication: Publication) -> None:
         self._send(self._publisher.tell(publication, time.monotonic(), self._transport.now()))
+
+    def expire(self) -> None:
+        self._send(self._publisher.take_back(time.monotonic()))
+
+    def finish(self) -> None:
+        self._send(self._publisher.take_back(math.inf))
+
+    def release(self) -> None:
+        self._transport.close()
 
     def _send(self, postings: Iterator[Posting]) -> None:
         for topic, type_, fields in postings:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from kinecast.datasets import bvh
-from kinecast.datasets.bvh import BvhOptions
 from kinecast.errors import DatasetError, OptionError
 
 # A spine and two arms: (name, parent, offset [cm], channels).
@@ -100,7 +99,7 @@ def test_forward_kinematics_units_and_axes(tmp_path: Path) -> None:
     for source, joint in names.items():
         x, y, z = points[source].T / 100.0
         np.testing.assert_allclose(recording.joint(joint), np.stack([x, -z, y], axis=-1), atol=1e-12)
-    (z_up,) = bvh.load(path, BvhOptions(metres_per_unit=0.5, up="z"))
+    (z_up,) = bvh.load(path, metres_per_unit=0.5, up="z")
     np.testing.assert_allclose(z_up.joint("left_wrist"), points["LeftHand"] * 0.5, atol=1e-10)
 
 
@@ -163,7 +162,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
             bvh.load(path)
 
 
-@pytest.mark.parametrize(("unit", "up"), [(0.0, "y"), (-1.0, "y"), (float("nan"), "y")])
-def test_options_are_checked(unit: float, up: str) -> None:
+@pytest.mark.parametrize(("unit", "up"), [(0.0, "y"), (-1.0, "y"), (float("nan"), "y"), (1.0, "x")])
+def test_options_are_checked(tmp_path: Path, unit: float, up: str) -> None:
     with pytest.raises(OptionError, match="metres_per_unit"):
-        BvhOptions(unit, up)
+        bvh.load(tmp_path / "a.bvh", unit, up)

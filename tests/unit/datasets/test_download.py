@@ -5,14 +5,9 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
-import json
 import os
 import re
-import threading
-from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -22,85 +17,9 @@ from rich.progress import Progress
 from kinecast.datasets.download import download, public_sets
 from kinecast.errors import DownloadError, OptionError
 
+from ...conftest import Server
+
 CONTENT = np.random.default_rng(0).bytes(300_000)
-
-
-class Server(ThreadingHTTPServer):
-    """Serves `files`; a test may make it misbehave."""
-
-    daemon_threads = True
-
-    def __init__(self) -> None:
-        super().__init__(("127.0.0.1", 0), Handler)
-        self.files: dict[str, bytes] = {}
-        self.ranges = True  # understands Range
-        self.breaks_after: int | None = None  # closes a connection after so many bytes
-        self.busy: dict[str, int] = {}  # answers 503 so often first
-        self.requests: list[tuple[str, str | None]] = []
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.server_port}/"
-
-    def record(self, **files: bytes) -> None:
-        """Serve files and a Zenodo record that lists them."""
-        self.files.update({f"files/{name}": content for name, content in files.items()})
-        self.list_files([self.entry(name, content) for name, content in files.items()])
-
-    def entry(self, name: str, content: bytes) -> dict[str, object]:
-        link = {"self": f"{self.url}files/{name}"}
-        return {
-            "key": name,
-            "size": len(content),
-            "checksum": f"md5:{hashlib.md5(content).hexdigest()}",
-            "links": link,
-        }
-
-    def list_files(self, entries: list[dict[str, object]], **metadata: str) -> None:
-        self.files["record"] = json.dumps({"metadata": metadata, "files": entries}).encode()
-
-
-class Handler(BaseHTTPRequestHandler):
-    server: Server
-
-    def do_GET(self) -> None:
-        server = self.server
-        path, wanted = unquote(self.path[1:]), self.headers.get("Range")
-        server.requests.append((path, wanted))
-        if server.busy.get(path):
-            server.busy[path] -= 1
-            self.send_error(503)
-        elif path not in server.files:
-            self.send_error(404)
-        else:
-            content, start = server.files[path], 0
-            if wanted and server.ranges:
-                start = int(wanted.removeprefix("bytes=").removesuffix("-"))
-                if start >= len(content):
-                    self.send_error(416)
-                    return
-                self.send_response(206)
-                self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
-            else:
-                self.send_response(200)
-            self.send_header("Content-Length", str(len(content) - start))
-            self.end_headers()
-            end = None if server.breaks_after is None or path == "record" else start + server.breaks_after
-            self.wfile.write(content[start:end])
-            self.close_connection = True
-
-    def log_message(self, *_: object) -> None:
-        """Silence."""
-
-
-@pytest.fixture
-def server() -> Iterator[Server]:
-    with Server() as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        yield server
-        server.shutdown()
-        thread.join()
 
 
 def fetch(server: Server, folder: Path, only: str = "*") -> list[Path]:
@@ -210,6 +129,14 @@ def test_wrong_bytes_are_not_kept(server: Server, tmp_path: Path) -> None:
     assert everything_in(tmp_path) == set()
 
 
+def test_a_file_shorter_than_announced_is_given_up(server: Server, tmp_path: Path) -> None:
+    server.record(**{"a.bin": CONTENT})
+    server.files["files/a.bin"] = CONTENT[:1000]
+    with pytest.raises(DownloadError, match=r"of 300000 bytes are kept"):
+        fetch(server, tmp_path)
+    assert len(server.requests) < 10
+
+
 def test_a_file_larger_than_announced_is_cut_off(server: Server, tmp_path: Path) -> None:
     server.record(**{"a.bin": b"abc"})
     server.files["files/a.bin"] = CONTENT * 10
@@ -317,9 +244,9 @@ def test_the_shipped_table_is_well_formed() -> None:
     assert [None if s.files is None else len(s.files) for s in sets.values()] == [47, 14, 27, None]
     for public in sets.values():
         assert public.url.startswith("https://")
-        for facts in (public.files or {}).values():
-            assert re.fullmatch("[0-9a-f]{64}", str(facts["sha256"]))
-            assert 0 < int(facts["bytes"]) < 10_000_000
+        for file in public.files or ():
+            assert re.fullmatch("sha256:[0-9a-f]{64}", file.checksum)
+            assert 0 < file.size < 10_000_000
 
 
 def test_the_shipped_checksums_are_those_of_the_real_files(server: Server, data_root: Path, tmp_path: Path) -> None:

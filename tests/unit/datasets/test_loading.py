@@ -13,7 +13,6 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS, HA4M_UPPER_23, LEGO_6, VICON
 from kinecast.datasets import table
-from kinecast.datasets.bvh import BvhOptions
 from kinecast.datasets.loading import FORMATS, check, load, load_all
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
@@ -135,24 +134,6 @@ def test_a_file_given_twice_is_loaded_once(mixed: Path) -> None:
 def test_links_to_folders_are_not_followed(mixed: Path) -> None:
     (mixed / "Stack" / "up").symlink_to(mixed)
     assert len(load(mixed)) == 7
-
-
-def test_bvh_options_reach_the_loader(tmp_path: Path) -> None:
-    arms = "".join(
-        f"JOINT {side}Arm\n{{\nOFFSET {x} 50 0\nCHANNELS 0\n"
-        f"JOINT {side}ForeArm\n{{\nOFFSET 0 -30 0\nCHANNELS 0\n"
-        f"JOINT {side}Hand\n{{\nOFFSET 0 -25 0\nCHANNELS 0\n}}\n}}\n}}\n"
-        for side, x in (("Left", 20), ("Right", -20))
-    )
-    path = tmp_path / "a.bvh"
-    path.write_text(
-        f"HIERARCHY\nROOT Hips\n{{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n{arms}}}\n"
-        "MOTION\nFrames: 2\nFrame Time: 0.1\n0 90 0\n1 90 0\n"
-    )
-    (recording,) = load(path)
-    np.testing.assert_allclose(recording.joint("left_wrist")[0], [0.2, 0.0, 0.85])
-    with pytest.raises(DatasetError, match="seems to be in centimetres"):
-        load(path, bvh_options=BvhOptions(metres_per_unit=1.0))
 
 
 class TestCheck:

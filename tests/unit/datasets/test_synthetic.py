@@ -14,7 +14,7 @@ from kinecast.body.skeleton import ARM_JOINTS, JOINTS
 from kinecast.body.torso_frame import torso_frame
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.synthetic import SyntheticOptions, generate, generate_clean, table_scene
-from kinecast.datasets.synthetic.paths import Path, arch, minimum_jerk
+from kinecast.datasets.synthetic.activity import Path, arch, minimum_jerk
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse
 

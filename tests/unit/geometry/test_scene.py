@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
+from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Sphere, Waypoints
 from kinecast.geometry.transforms import from_rotation_vector
@@ -25,6 +26,11 @@ POSE = np.array(
 )
 
 
+def distances(scene: Scene, points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(…, T, J) distance [m] of each point (…, T, J, 3) to the nearest obstacle where it is at that point's time."""
+    return limb_distances(scene.rows(times), points, np.arange(points.shape[-2])[:, None].repeat(2, axis=1))
+
+
 def arms_around_the_table(samples: int, times: int, seed: int = 0) -> np.ndarray:
     return POSE + np.random.default_rng(seed).normal(0, 0.1, (samples, times, 6, 3))
 
@@ -32,7 +38,7 @@ def arms_around_the_table(samples: int, times: int, seed: int = 0) -> np.ndarray
 def test_an_empty_scene_is_free_everywhere() -> None:
     arms, times = arms_around_the_table(3, 2), np.array([0.0, 0.1])
     assert Scene().free(arms, times).all()
-    assert np.all(Scene().signed_distance(arms, times) == np.inf)
+    assert np.all(distances(Scene(), arms, times) == np.inf)
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.05])
@@ -62,7 +68,7 @@ def test_a_limb_through_a_thin_table_is_not_free_though_both_its_ends_are() -> N
     arm = POSE.copy()
     arm[1], arm[2] = [0.3, 0.2, 0.95], [0.4, 0.2, 0.8]
     scene, times = Scene((TABLE,)), np.zeros(1)
-    assert np.all(scene.signed_distance(arm[None], times) > 0)
+    assert np.all(distances(scene, arm[None], times) > 0)
     assert not scene.free(arm[None, None], times)[0, 0]
 
 
@@ -73,7 +79,7 @@ def test_an_obstacle_is_met_where_it_is_at_each_time() -> None:
     arms = np.broadcast_to(POSE, (1, 5, 6, 3))
     free = Scene((moving,)).free(arms, times)[0]
     np.testing.assert_array_equal(free, [True, True, False, False, True])  # left wrist, right wrist, then past
-    wrist = Scene((moving,)).signed_distance(np.ascontiguousarray(arms[:, :, 2:3]), times)[0, :, 0]
+    wrist = distances(Scene((moving,)), np.ascontiguousarray(arms[:, :, 2:3]), times)[0, :, 0]
     np.testing.assert_allclose(wrist, [0.9, 0.4, -0.1, 0.3, 0.9], atol=1e-12)
 
 
@@ -82,7 +88,7 @@ def test_waypoints_hold_before_the_first_and_after_the_last() -> None:
     ball = MovingObstacle(Sphere(np.array([9.0, 9.0, 9.0]), 0.5), path)
     times = np.array([0.0, 1.0, 2.0, 9.0])
     origin = np.zeros((4, 1, 3))
-    np.testing.assert_allclose(Scene((ball,)).signed_distance(origin, times)[:, 0], [-0.5, -0.5, 1.5, 3.5])
+    np.testing.assert_allclose(distances(Scene((ball,)), origin, times)[:, 0], [-0.5, -0.5, 1.5, 3.5])
 
 
 def test_unknown_joints_are_never_free() -> None:
@@ -94,7 +100,7 @@ def test_unknown_joints_are_never_free() -> None:
 def test_leading_axes_are_kept_and_inputs_may_be_strided() -> None:
     scene, times = Scene((TABLE, Sphere(np.zeros(3), 1.0))), np.linspace(0, 1, 4)
     points = np.random.default_rng(3).normal(size=(4, 2, 3, 3))
-    whole = scene.signed_distance(points.transpose(1, 2, 0, 3)[..., None, :], times)
+    whole = distances(scene, points.transpose(1, 2, 0, 3)[..., None, :], times)
     assert whole.shape == (2, 3, 4, 1)
     one = min(s.signed_distance(points[3, 1, 2]) for s in (TABLE, Sphere(np.zeros(3), 1.0)))
     assert whole[1, 2, 3, 0] == one

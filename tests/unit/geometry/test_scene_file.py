@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 
 from kinecast.errors import DatasetError
+from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, HalfSpace, MovingObstacle, Sphere
+
+
+def distances(scene: Scene, points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(T, J) distance [m] of each point (T, J, 3) to the nearest obstacle where it is at that point's time [s]."""
+    return limb_distances(scene.rows(times), points, np.arange(points.shape[-2])[:, None].repeat(2, axis=1))
 
 
 def test_the_shipped_example_holds_every_kind_of_entry() -> None:
@@ -20,7 +26,7 @@ def test_the_shipped_example_holds_every_kind_of_entry() -> None:
     assert kinds == [Box, HalfSpace, Box, Box, Box, Sphere, Capsule]
     assert {name: type(goal) for name, goal in scene.goals.items()} == {"red_cube": Sphere, "tray": Box}
     above_and_below = np.array([[[0.5, 0.0, 0.95], [0.5, 0.0, 0.85]]])
-    np.testing.assert_allclose(scene.signed_distance(above_and_below, np.zeros(1)), [[0.05, 0.01]], atol=1e-12)
+    np.testing.assert_allclose(distances(scene, above_and_below, np.zeros(1)), [[0.05, 0.01]], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +44,7 @@ def test_the_shipped_example_holds_every_kind_of_entry() -> None:
     ],
 )
 def test_entries(text: str, point: list[float], distance: float) -> None:
-    found = Scene.from_yaml(text).signed_distance(np.array([[point]]), np.zeros(1))
+    found = distances(Scene.from_yaml(text), np.array([[point]]), np.zeros(1))
     assert found[0, 0] == pytest.approx(distance, abs=1e-12)
 
 
@@ -51,7 +57,7 @@ def test_entries(text: str, point: list[float], distance: float) -> None:
 )
 def test_boxes_move(motion: str) -> None:
     origin = np.zeros((2, 1, 3))
-    found = Scene.from_yaml(motion).signed_distance(origin, np.array([0.0, 4.0]))
+    found = distances(Scene.from_yaml(motion), origin, np.array([0.0, 4.0]))
     np.testing.assert_allclose(found[:, 0], [-0.5, 1.5])
 
 
@@ -118,7 +124,6 @@ def test_boxes_move(motion: str) -> None:
         ("a: " + "[" * 5000, r"line 1: nested deeper than 8 levels"),
         ("a: " + "9" * 5000, r"not valid YAML"),
         ("table: {height: 1}\n---\ntable: {height: 2}", r"not valid YAML: but found another document"),
-        ("boxes: [" + "{}, " * 400_000, r"at most 1000000 characters"),
     ],
 )
 def test_a_wrong_scene_is_an_error_that_names_the_place(text: str, message: str) -> None:

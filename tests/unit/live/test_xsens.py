@@ -232,7 +232,7 @@ def fuzz(count: int) -> None:
             assert plausible(arrival.frame)
     assert feed.received > count // 20
     assert feed.refused > count // 10
-    assert guard.waiting <= 4 * MOST_PERSONS
+    assert sum(len(each.pending) for each in guard.characters.values()) <= 4 * MOST_PERSONS
 
 
 def plausible(frame: SkeletonFrame) -> bool:

@@ -75,6 +75,18 @@ def test_a_gap_is_bridged_and_said() -> None:
     np.testing.assert_allclose(seen.positions, [place(k * DT) for k in range(2, 8)], atol=1e-9)
 
 
+@pytest.mark.parametrize(("lost", "expected"), [((5,), Status.OK), ((4, 5), Status.GAP), ((7,), Status.OCCLUDED)])
+def test_a_joint_that_one_frame_does_not_show_is_no_gap(lost: tuple[int, ...], expected: Status) -> None:
+    track = Track(DT, 6, np.random.default_rng(0))
+    for k in range(8):
+        positions = place(k * DT)
+        positions[2 if k in lost else []] = np.nan
+        track.add(SkeletonFrame(k * DT, ARM_JOINTS, positions))
+    seen, status = track.observation(0.0)
+    assert status is expected
+    assert seen is not None
+
+
 def test_after_a_long_silence_history_starts_anew() -> None:
     followed = fed(np.arange(10) * DT)
     followed.add(frame(9 * DT + LONGEST_GAP + 0.01))

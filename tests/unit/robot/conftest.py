@@ -7,15 +7,21 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box
+from kinecast.geometry.shapes import Box, Capsule
 from kinecast.robot.collision import CollisionChecker
-from kinecast.robot.occupancy import Occupancy
 from kinecast.robot.planner import Planner
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, Status
 
 HOME = np.array([0.42, -1.08, 1.29, 1.36, 1.57, -1.15])
 """Above the table, the tool pointing down."""
+AWAY = HOME + np.array([-1.5, 0, 0, 0, 0, 0])
+TABLE = Box(np.array([0.0, 0.0, -0.06]), np.array([2.0, 2.0, 0.1]))
+POST = [-0.45, 0.0, 0.0, -0.45, 0.0, 0.15, 0.06]
+"""Between them, low enough to reach over."""
+WALL = [[-0.9, 0.0, z, -0.3, 0.0, z, 0.06] for z in (0.1, 0.25, 0.4, 0.55, 0.7)]
+SEALED = [[-1.2, 0.0, z, 1.2, 0.0, z, 0.15] for z in np.arange(0.0, 1.6, 0.2)]
+"""No way leads past it."""
 
 
 @pytest.fixture(scope="session")
@@ -25,7 +31,7 @@ def arm() -> UR5:
 
 @pytest.fixture(scope="session")
 def table() -> Scene:
-    return Scene((Box(np.array([0.0, 0.0, -0.06]), np.array([2.0, 2.0, 0.1])),))
+    return Scene((TABLE,))
 
 
 @pytest.fixture(scope="session")
@@ -38,17 +44,17 @@ def checker(planner: Planner) -> CollisionChecker:
     return planner.checker
 
 
+def posts(*rows: list[float]) -> Scene:
+    """Capsules (start, end, radius) above the table."""
+    capsules = (Capsule(np.array(row[:3]), np.array(row[3:6]), row[6]) for row in rows)
+    return Scene((TABLE, *capsules))
+
+
 def down(x: float, y: float, z: float) -> np.ndarray:
     """T_world_tool of a tool that points down."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = x, y, z
     return T
-
-
-def staying(*rows: list[float]) -> Occupancy:
-    """Capsules (start, end, radius) that neither move nor grow."""
-    capsules = np.array(rows, dtype=np.float64).reshape(1, -1, 7)
-    return Occupancy(0.0, np.zeros(1), capsules[..., :3], capsules[..., 3:6], capsules[..., 6], 0.0, 0.0)
 
 
 def prediction(

@@ -2,118 +2,98 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from kinecast.errors import OptionError
-from kinecast.robot.attempt import Attempt
-from kinecast.robot.chomp import ChompOptions, Surroundings, optimise, smoothest
+from kinecast.geometry.shapes import Capsule
+from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
-from kinecast.robot.occupancy import Occupancy
-from kinecast.robot.planner import PlannerOptions
-from kinecast.robot.trajectory import Trajectory
+from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import UR5
 
-from .conftest import HOME, staying
+from .conftest import AWAY, HOME, POST, SEALED, posts
 
-AWAY = HOME + np.array([-1.5, 0, 0, 0, 0, 0])
 TIMES = np.linspace(0, 2, 40)
-STILL = np.zeros(6)
-POST = [-0.45, 0.0, 0.0, -0.45, 0.0, 0.15, 0.06]
-"""Low enough to reach over."""
+STRAIGHT = HOME + minimum_jerk(40)[:, None] * (AWAY - HOME)
 
 
-FAR = np.array([9.0, 0, 0, 9, 0, 0, 0])
+def among(arm: UR5, *rows: list[float]) -> Chomp:
+    return Chomp(arm, posts(*rows).rows(np.zeros(1))[0])
 
 
-def straight(velocity: np.ndarray = STILL, acceleration: np.ndarray = STILL) -> np.ndarray:
-    return smoothest(HOME, AWAY, 40, 2 / 39, velocity, acceleration)
+def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest.MonkeyPatch) -> None:
+    """∇U of the inner waypoints by finite differences of ∫ c |x'| dt, summed over body points."""
+    monkeypatch.setattr("kinecast.robot.chomp.SLOWEST", 1e-9)
+    chomp = among(arm, POST)
+    shapes = [*posts(POST).obstacles, Capsule(*arm.pedestal)]
 
+    def cost(q: np.ndarray) -> float:
+        frames = arm.frames(q)[:, chomp._joint]
+        places = np.einsum("npij,pj->npi", frames[..., :3], chomp._sites) + frames[..., 3]
+        far = np.array([shape.signed_distance(places) for shape in shapes])
+        far[np.broadcast_to(chomp._first_link[:, None, None] > chomp._link, far.shape)] = np.inf
+        gap = far.min(axis=0) - chomp._radius - 0.005
+        price = np.where(gap < 0, 0.025 - gap, np.where(gap < 0.05, 0.5 * (gap - 0.05) ** 2 / 0.05, 0.0))
+        return float((0.5 * (price[1:] + price[:-1]) * np.linalg.norm(np.diff(places, axis=0), axis=-1)).sum())
 
-def around(checker: CollisionChecker, occupancy: Occupancy) -> Surroundings:
-    return Attempt(checker, PlannerOptions(), HOME, occupancy, 0.0).surroundings(TIMES)
-
-
-def test_from_rest_to_rest_it_is_the_polynomial_of_least_jerk() -> None:
-    s = (TIMES / 2)[:, None]
-    np.testing.assert_allclose(straight(), HOME + (10 * s**3 - 15 * s**4 + 6 * s**5) * (AWAY - HOME), atol=1e-7)
-
-
-def test_from_a_moving_start_it_goes_on_as_it_came_and_no_other_way_has_less_jerk() -> None:
-    velocity, acceleration = np.full(6, 0.5), np.full(6, -1.0)
-    waypoints = straight(velocity, acceleration)
-
-    def jerk(q: np.ndarray) -> float:
-        _, _, _, third = Trajectory(TIMES, q, velocity, acceleration).derivatives(np.linspace(0, 2, 2000))
-        return float((third**2).mean())
-
-    rng = np.random.default_rng(0)
-    for _ in range(10):
-        other = waypoints.copy()
-        other[1:-1] += 1e-4 * rng.standard_normal((38, 6))
-        assert jerk(other) > jerk(waypoints)
-    slope = Trajectory(TIMES, waypoints, velocity, acceleration).at(np.array([0.0]))[1]
-    np.testing.assert_allclose(slope[0], velocity, atol=1e-9)
+    fine = HOME + np.linspace(0, 1, 400)[:, None] * (AWAY - HOME)  # evenly, so that nothing is at rest
+    _, torque = chomp._forces(fine, 0.005, None)
+    for seed in range(3):
+        turn = np.random.default_rng(seed).normal(size=6)
+        bump = np.sin(np.pi * np.linspace(0, 1, 400))[:, None] ** 2 * turn
+        slope = (cost(fine + 1e-5 * bump) - cost(fine - 1e-5 * bump)) / 2e-5
+        assert float((torque * bump[1:-1]).sum()) == pytest.approx(slope, rel=0.05)
 
 
 def test_without_obstacles_nothing_moves(arm: UR5) -> None:
-    nothing = Surroundings(np.empty((40, 0, 7)), np.empty((40, 0, 17)), np.empty(0, dtype=np.int64))
-    path, excess, _ = optimise(arm, straight(), straight(), nothing, ChompOptions())
-    np.testing.assert_allclose(path, straight(), atol=1e-12)
-    assert excess == np.inf
+    path, excess, _ = Chomp(arm, np.empty((0, 17))).optimise(STRAIGHT, STRAIGHT, 0.005)
+    np.testing.assert_allclose(path, STRAIGHT, atol=1e-12)
+    assert excess > 0
 
 
-def test_it_goes_around_and_keeps_its_ends(arm: UR5, checker: CollisionChecker) -> None:
-    surroundings, before = around(checker, staying(POST)), straight()
-    assert not checker.check(Trajectory(TIMES, before), staying(POST)).free
-    path, excess, iterations = optimise(arm, before, before, surroundings, ChompOptions())
+def test_it_goes_around_keeps_its_ends_and_answers_the_same_again(arm: UR5) -> None:
+    checker = CollisionChecker(arm, posts(POST))
+    assert checker.check(Trajectory(TIMES, STRAIGHT))
+    path, excess, iterations = among(arm, POST).optimise(STRAIGHT, STRAIGHT, 0.02)
     assert excess > 0
     assert iterations <= 100
-    np.testing.assert_array_equal(path[[0, -1]], before[[0, -1]])
-    found = checker.check(Trajectory(TIMES, path), staying(POST))
-    assert found.free
-    assert found.person > 0.005
+    np.testing.assert_array_equal(path[[0, -1]], STRAIGHT[[0, -1]])
+    assert not checker.check(Trajectory(TIMES, path))
+    np.testing.assert_array_equal(path, among(arm, POST).optimise(STRAIGHT, STRAIGHT, 0.02)[0])
 
 
-def test_it_knows_when_a_place_is_free(arm: UR5, checker: CollisionChecker) -> None:
-    """A post that is gone before the arm comes changes nothing; one that comes after it has passed neither."""
-    gone = np.array([POST]) + FAR
-    here = np.array([POST])
-    for rows, times in (([here, gone], [0.2, 0.21]), ([gone, here], [1.8, 1.81])):
-        capsules = np.stack(rows)
-        region = Occupancy(0.0, np.array(times), capsules[..., :3], capsules[..., 3:6], capsules[..., 6], 0.0, 0.0)
-        path, excess, _ = optimise(arm, straight(), straight(), around(checker, region), ChompOptions())
-        assert excess > 0
-        np.testing.assert_allclose(path, straight(), atol=1e-3)
-    path, _, _ = optimise(arm, straight(), straight(), around(checker, staying(POST)), ChompOptions())
-    assert np.abs(path - straight()).max() > 0.05
+def test_it_knows_when_people_are_beside_it(arm: UR5) -> None:
+    """Somebody who is gone before the arm comes, or comes after it has passed, changes nothing."""
+    gone = np.array(POST) + np.array([9.0, 0, 0, 9, 0, 0, 0])
+    rows = np.tile(gone, (40, 1, 1))
+    for here, moves in ((slice(0, 4), False), (slice(36, 40), False), (slice(0, 40), True)):
+        capsules = rows.copy()
+        capsules[here] = POST
+        people = People(capsules, 0.19, 0.3, 1.5, 1.0, 0.3)
+        path, _, _ = among(arm).optimise(STRAIGHT, STRAIGHT, 0.005, people, 25, 40)
+        assert (np.abs(path - STRAIGHT).max() > 0.05) == moves
 
 
-def test_angles_stay_within_their_range(checker: CollisionChecker) -> None:
+def test_the_price_of_people_is_the_time_lost_and_its_slope_the_derivative() -> None:
+    people = People(np.empty((40, 1, 7)), 0.19, 0.3, 1.5, 1.0, 0.3)
+    distance = np.linspace(-0.2, 1.5, 200)
+    price, slope = people.price(distance)
+    numeric = (people.price(distance + 1e-6)[0] - people.price(distance - 1e-6)[0]) / 2e-6
+    assert np.abs(slope - numeric).max() < 1e-4
+    assert price[-1] == 0
+    assert (np.diff(price) <= 0).all()
+    assert slope.min() == pytest.approx(-0.3)
+
+
+def test_angles_stay_within_their_range() -> None:
     tight = UR5()
-    tight.q_range = np.stack([straight().min(axis=0) - 0.02, straight().max(axis=0) + 0.02], axis=1)
-    path, _, _ = optimise(tight, straight(), straight(), around(checker, staying(POST)), ChompOptions())
+    tight.q_range = np.stack([STRAIGHT.min(axis=0) - 0.02, STRAIGHT.max(axis=0) + 0.02], axis=1)
+    path, _, _ = among(tight, POST).optimise(STRAIGHT, STRAIGHT, 0.02)
     assert (path >= tight.q_range[:, 0] - 1e-12).all()
     assert (path <= tight.q_range[:, 1] + 1e-12).all()
 
 
-def test_where_there_is_no_way_it_says_so_and_stops(arm: UR5, checker: CollisionChecker) -> None:
-    wall = staying(*[[-1.0, 0.0, z, 1.0, 0.0, z, 0.1] for z in np.arange(0.0, 1.6, 0.15)])
-    _, excess, iterations = optimise(arm, straight(), straight(), around(checker, wall), ChompOptions())
+def test_where_there_is_no_way_it_says_so_and_stops(arm: UR5) -> None:
+    _, excess, iterations = among(arm, *SEALED).optimise(STRAIGHT, STRAIGHT, 0.005)
     assert excess < 0
     assert iterations <= 100
-
-
-def test_the_same_question_has_the_same_answer(arm: UR5, checker: CollisionChecker) -> None:
-    one, other = (
-        optimise(arm, straight(), straight(), around(checker, staying(POST)), ChompOptions())[0] for _ in range(2)
-    )
-    np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("change", [{"waypoints": 3}, {"person_zone": -1.0}, {"smooth_step": np.nan}])
-def test_impossible_options_are_refused(change: dict[str, float]) -> None:
-    with pytest.raises(OptionError):
-        replace(ChompOptions(), **change)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.robot.chomp import smoothest
 from kinecast.robot.execution import Executor
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
@@ -106,32 +105,6 @@ def test_it_brakes_on_the_path(arm: UR5) -> None:
     np.testing.assert_allclose(states[-1, 0], expected, atol=1e-6)
     assert np.abs(states[-1, 1]).max() < 1e-6
     assert off_the_path(states, path()) < 1e-3
-
-
-def test_what_is_ahead_comes(arm: UR5) -> None:
-    executor = Executor(arm, DT, HOME)
-    executor.follow(path())
-    for _ in range(50):
-        executor.step(1.0)
-    expected = executor.ahead(0.096, 0.5)
-    for _ in range(12):
-        state = executor.step(0.5)
-    np.testing.assert_allclose(state, expected, atol=1e-12)
-
-
-def test_a_plan_from_ahead_is_taken_up_without_a_jolt(arm: UR5) -> None:
-    executor = Executor(arm, DT, HOME)
-    executor.follow(path())
-    first = [executor.step(1.0) for _ in range(100)]
-    q, qd, qdd = executor.ahead(0.08)
-    waypoints = smoothest(q, END - 0.3, 40, 2.0 / 39, qd, qdd)
-    onward = Trajectory(9.0 + np.linspace(0, 2, 40), waypoints, qd, qdd)
-    first += [executor.step(1.0) for _ in range(10)]
-    executor.follow(onward)
-    assert executor.progress == 0
-    states = np.array(first + list(run(executor, lambda _: 1.0)))
-    assert_within_limits(arm, states)
-    np.testing.assert_allclose(states[-1, 0], END - 0.3, atol=1e-9)
 
 
 def test_from_anywhere_else_it_is_led_to_the_start(arm: UR5) -> None:

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
+from kinecast.geometry.shapes import Capsule
+from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.cell import CELLS, Cell, cell_named
-from kinecast.robot.choice import ChoiceOptions, Chooser, Option, Request
-from kinecast.robot.errand import Places, Step
+from kinecast.robot.choice import Chooser, Option, Request
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import travel_time
 from kinecast.robot.motions import AHEAD, STEP, Motions, PoseHistory, likely, motions_of
-from kinecast.robot.occupancy import OccupancyOptions
+from kinecast.robot.pick_place import GraspConfigurations, Step
 from kinecast.robot.planner import NoPlan, Planner
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, Status
@@ -36,7 +37,7 @@ def motions(x: float, y: float = 0.0) -> Motions:
 
 def way(arm: UR5) -> np.ndarray:
     """From rest to above the green cube."""
-    places = Places(arm, CELL)
+    places = GraspConfigurations(arm, CELL)
     start = places.rest(np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0]))[0]
     goal = places.above(CELL.cube("green").position, start)[0]
     share = np.linspace(0.0, 1.0, 21)[:, None]
@@ -116,12 +117,12 @@ def test_likely_capsules_hold_the_people_and_end_with_the_stated_time() -> None:
     occupancy = likely(motions(1.0), 5.0)
     assert occupancy.times[0] == 5.0
     assert occupancy.times[-1] == pytest.approx(9.0)
-    distance, _ = occupancy.signed_distance((ARMS[2] + np.array([1.0, 0.0, 0.0]))[None, None], np.array([6.0]))
-    assert distance[0, 0] < 0
+    shapes = [Capsule(row[:3], row[3:6], float(row[6])) for row in occupancy.rows_at(np.array([6.0]))[0]]
+    assert min(float(shape.signed_distance(ARMS[2] + np.array([1.0, 0.0, 0.0]))) for shape in shapes) < 0
 
 
 def options(arm: UR5, q: np.ndarray) -> tuple[Option, ...]:
-    places = Places(arm, CELL)
+    places = GraspConfigurations(arm, CELL)
     return tuple(
         Option(Step.REACH, cube.name, places.above(cube.position, q), cube.position, places.usual(cube.position, 1.57))
         for cube in CELL.cubes
@@ -171,5 +172,3 @@ def test_cells_have_their_constants_and_others_are_refused() -> None:
         cell_named("office")
     with pytest.raises(OptionError, match="delay -1"):
         Cell(delay=-1.0)
-    with pytest.raises(OptionError, match="gain -1"):
-        ChoiceOptions(gain=-1.0)

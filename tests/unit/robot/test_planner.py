@@ -2,163 +2,130 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import numpy as np
-import pytest
 
-from kinecast.errors import OptionError
-from kinecast.robot.attempt import Attempt
-from kinecast.robot.execution import SHARE
-from kinecast.robot.occupancy import Occupancy, occupied
-from kinecast.robot.planner import NoPlan, Plan, Planner, PlannerOptions
+from kinecast.geometry.shapes import Capsule
+from kinecast.robot.cell import CAMERA
+from kinecast.robot.occupancy import Occupancy
+from kinecast.robot.planner import ACCELERATION, JERK, SPEED, NoPlan, Plan, Planner
+from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
-from .conftest import HOME, down, prediction, staying
-
-AWAY = HOME + np.array([-1.5, 0, 0, 0, 0, 0])
-POST = [-0.45, 0.0, 0.0, -0.45, 0.0, 0.15, 0.06]
-WALL = staying(*[[-0.9, 0.0, z, -0.42, 0.0, z, 0.06] for z in (0.1, 0.25, 0.4, 0.55)])
+from .conftest import AWAY, HOME, POST, WALL, down, posts
 
 
-def assert_usable(planner: Planner, plan: Plan | NoPlan, occupancy: Occupancy) -> Plan:
+def assert_usable(planner: Planner, plan: Plan | NoPlan) -> Plan:
     assert isinstance(plan, Plan), plan
-    times = planner.checker.looks(plan.trajectory, 0.002)
-    q, _ = plan.trajectory.at(times)
-    assert not any(planner.checker.touched(q, times, occupancy))
-    assert planner.checker.clearances(q, times, occupancy)[:, 0].min() >= plan.clearance - 1e-3
+    q, _ = plan.trajectory.at(planner.checker.looks(plan.trajectory, 0.002))
+    assert not any(planner.checker.touched(each) for each in q)
     return plan
 
 
 def test_in_the_open_it_goes_straight(planner: Planner) -> None:
-    plan = assert_usable(planner, planner.plan(HOME, AWAY[None], Occupancy.empty(), 7.0), Occupancy.empty())
+    plan = assert_usable(planner, planner.plan(HOME, AWAY[None], 7.0))
     assert plan.solved_by == "chomp"
     assert plan.trajectory.times[0] == 7.0
     np.testing.assert_allclose(plan.trajectory.q[[0, -1]], [HOME, AWAY], atol=1e-12)
     speed, acceleration, jerk = plan.trajectory.peaks()
-    assert speed.max() <= 1.02 * planner.options.speed
-    assert acceleration.max() <= 1.02**2 * planner.options.acceleration
-    assert jerk.max() <= 1.02**3 * planner.options.jerk
-    assert plan.milliseconds > 0
+    assert speed.max() <= 1.02 * SPEED
+    assert acceleration.max() <= 1.02**2 * ACCELERATION
+    assert jerk.max() <= 1.02**3 * JERK
 
 
-def test_past_a_post_the_descent_finds_a_way(planner: Planner) -> None:
-    plan = assert_usable(planner, planner.plan(HOME, AWAY[None], staying(POST), 0.0), staying(POST))
-    assert plan.solved_by == "chomp"
-    assert plan.clearance > 0.005
+def test_past_a_post_the_descent_finds_a_way(arm: UR5) -> None:
+    planner = Planner(arm, posts(POST))
+    assert assert_usable(planner, planner.plan(HOME, AWAY[None], 0.0)).solved_by == "chomp"
 
 
-def test_past_a_wall_the_search_finds_a_way(planner: Planner) -> None:
-    plan = planner.plan(HOME, AWAY[None], WALL, 0.0, budget=math.inf)
-    assert "rrt" in assert_usable(planner, plan, WALL).solved_by
-
-
-def test_without_an_end_of_time_the_answer_depends_on_the_question_alone(planner: Planner) -> None:
-    one, other = (planner.plan(HOME, AWAY[None], WALL, 0.0, budget=math.inf) for _ in range(2))
-    assert isinstance(one, Plan)
-    assert isinstance(other, Plan)
+def test_past_a_wall_the_search_finds_a_way_and_the_answer_depends_on_the_question_alone(arm: UR5) -> None:
+    planner = Planner(arm, posts(*WALL), searches=2, iterations=400)
+    one, other = (assert_usable(planner, planner.plan(HOME, AWAY[None], 0.0)) for _ in range(2))
+    assert "rrt" in one.solved_by
     np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
 
 
 def test_straight_legs_from_corner_to_corner_are_the_last_resort(planner: Planner) -> None:
-    attempt = Attempt(planner.checker, planner.options, HOME, Occupancy.empty(), 1.0)
     corner = HOME + np.array([-0.7, -0.3, 0, 0, 0, 0])
-    found = attempt.legs(np.stack([HOME, corner, AWAY]))
-    assert isinstance(found, tuple)
-    trajectory = found[0]
+    trajectory = planner._legs(np.stack([HOME, corner, AWAY]), 1.0, np.inf)
+    assert isinstance(trajectory, Trajectory)
     places, rates = trajectory.at(trajectory.times)
     nearest = np.abs(places - corner).max(axis=1).argmin()
     np.testing.assert_allclose(places[nearest], corner, atol=1e-9)
     assert np.abs(rates[nearest]).max() < 0.1
-    assert trajectory.peaks()[0].max() < 1.1 * planner.options.speed
+    assert trajectory.peaks()[0].max() < 1.1 * SPEED
 
 
 def test_the_nearest_of_several_goals_is_taken_and_a_blocked_one_is_not(planner: Planner, arm: UR5) -> None:
     goals = np.stack([AWAY, HOME + 0.1])
-    plan = planner.plan(HOME, goals, Occupancy.empty(), 0.0)
+    plan = planner.plan(HOME, goals, 0.0)
     assert isinstance(plan, Plan)
     assert plan.goal == 1
     x, y, z = arm.forward_kinematics(AWAY)[:3, 3]
-    blocked = staying([x, y, z, x, y, z + 0.1, 0.05])
-    assert isinstance(planner.plan(HOME, goals, blocked, 0.0), Plan)
-    none = planner.plan(HOME, AWAY[None], blocked, 0.0)
+    blocked = Planner(arm, posts([x, y, z, x, y, z + 0.1, 0.05]))
+    assert isinstance(blocked.plan(HOME, goals, 0.0), Plan)
+    none = blocked.plan(HOME, AWAY[None], 0.0)
     assert isinstance(none, NoPlan)
-    assert none.reason == "the goal is in a person's region"
+    assert none.reason == "the goal is blocked by the scene or the arm itself"
 
 
-def test_of_two_goals_as_near_the_one_with_more_room_is_taken(planner: Planner, arm: UR5) -> None:
+def test_of_two_goals_as_near_the_one_with_more_room_is_taken(arm: UR5) -> None:
     goals = HOME + np.array([[0.5, 0, 0, 0, 0, 0], [-0.5, 0, 0, 0, 0, 0]])
     for tight in (0, 1):
         x, y, z = arm.forward_kinematics(goals[tight])[:3, 3]
-        beside = staying([x - 0.25, y, z, x - 0.25, y, z + 0.1, 0.1])
-        plan = planner.plan(HOME, goals, beside, 0.0)
+        plan = Planner(arm, posts([x - 0.25, y, z, x - 0.25, y, z + 0.1, 0.1])).plan(HOME, goals, 0.0)
         assert isinstance(plan, Plan)
         assert plan.goal == 1 - tight
 
 
 def test_every_branch_of_a_place_is_a_goal(planner: Planner, arm: UR5) -> None:
     place = down(-0.4, 0.3, 0.2)
-    plan = planner.plan(HOME, arm.inverse_kinematics(place), Occupancy.empty(), 0.0)
+    plan = planner.plan(HOME, arm.inverse_kinematics(place), 0.0)
     assert isinstance(plan, Plan)
     np.testing.assert_allclose(arm.forward_kinematics(plan.trajectory.q[-1]), place, atol=1e-8)
 
 
-def test_beside_a_person_it_keeps_out_of_the_predicted_region(planner: Planner) -> None:
-    region = occupied([prediction(spread=0.03, x=-1.15)], 0.03)
-    assert_usable(planner, planner.plan(HOME, AWAY[None], region, 0.03), region)
+def test_beside_somebody_a_way_bends_away_from_them(planner: Planner) -> None:
+    straight = planner.plan(HOME, AWAY[None], 5.0)
+    assert isinstance(straight, Plan)
+    somebody = Capsule(np.array([-1.1, 0.0, 0.1]), np.array([-1.1, 0.0, 0.5]), 0.1)
+    row = np.concatenate([somebody.start, somebody.end, [somebody.radius]])
+    people = Occupancy(np.array([5.0, 9.0]), np.tile(row, (2, 1, 1)))
+
+    def nearest(plan: Plan) -> float:
+        capsules = planner.arm.capsules(plan.trajectory.at(np.linspace(*plan.trajectory.times[[0, -1]], 50))[0])
+        return float((somebody.segment_distance(capsules.start, capsules.end) - capsules.radius).min())
+
+    bent = list(planner.bent(straight, HOME, AWAY[None], people, 5.0, CAMERA))
+    assert bent
+    for plan in bent:
+        assert_usable(planner, plan)
+        np.testing.assert_allclose(plan.trajectory.q[[0, -1]], [HOME, AWAY], atol=1e-12)
+    assert max(map(nearest, bent)) > nearest(straight) + 0.05
 
 
-def test_a_moving_start_is_taken_up_as_it_is(planner: Planner, arm: UR5) -> None:
-    first = planner.plan(HOME, AWAY[None], Occupancy.empty(), 0.0)
-    assert isinstance(first, Plan)
-    now = 0.2 * first.trajectory.duration
-    q, qd, qdd, _ = first.trajectory.derivatives(now)
-    onward = AWAY + np.array([-0.3, 0, 0, 0, 0, 0.3])
-    plan = planner.plan(q, onward[None], Occupancy.empty(), now, velocity=qd, acceleration=qdd)
-    assert isinstance(plan, Plan)
-    start = plan.trajectory.derivatives(now)
-    for found, expected in zip(start, (q, qd, qdd), strict=False):
-        np.testing.assert_allclose(found, expected, atol=1e-6)
-    limits = SHARE[:, None] * np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
-    assert (np.stack(plan.trajectory.peaks()) <= 1.1 * limits).all()
-
-
-def _refusals(arm: UR5) -> Iterator[tuple[str, dict[str, object]]]:
-    yield "the goal is out of reach", {"goals": np.empty((0, 6))}
-    yield "the goal is out of reach", {"goals": np.full((1, 6), np.nan)}
-    yield "the arm's state is not known", {"q": np.full(6, np.nan)}
-    yield "the arm's state is not known", {"velocity": np.full(6, np.inf)}
+def test_why_there_is_no_plan_is_said_in_words(planner: Planner) -> None:
     under = HOME + np.array([0, 0.6, 0, 0, 0, 0])
-    yield "the goal is blocked by the scene or the arm itself", {"goals": under[None]}
-    yield "the arm touches the scene or itself", {"q": under}
-    x, y, z = arm.forward_kinematics(HOME)[:3, 3]
-    yield "the arm is in a person's region", {"occupancy": staying([x, y, z, x, y, z, 0.1])}
-
-
-def test_why_there_is_no_plan_is_said_in_words(planner: Planner, arm: UR5) -> None:
-    usual = {"q": HOME, "goals": AWAY[None], "occupancy": Occupancy.empty(), "start_time": 0.0}
-    for reason, change in _refusals(arm):
+    usual = {"q": HOME, "goals": AWAY[None], "start_time": 0.0}
+    for reason, change in (
+        ("the goal is out of reach", {"goals": np.empty((0, 6))}),
+        ("the goal is out of reach", {"goals": np.full((1, 6), np.nan)}),
+        ("the arm's state is not known", {"q": np.full(6, np.nan)}),
+        ("the goal is blocked by the scene or the arm itself", {"goals": under[None]}),
+        ("the arm touches the scene or itself", {"q": under}),
+    ):
         answer = planner.plan(**{**usual, **change})  # type: ignore[arg-type]
         assert isinstance(answer, NoPlan)
         assert answer.reason == reason
 
 
-def test_where_there_is_no_way_it_gives_up_in_time(planner: Planner) -> None:
-    sealed = staying(*[[-1.2, 0.0, z, 1.2, 0.0, z, 0.15] for z in np.arange(0.0, 1.6, 0.2)])
-    planner.plan(HOME, AWAY[None], sealed, 0.0, budget=0.05)
-    answer = planner.plan(HOME, AWAY[None], sealed, 0.0, budget=0.05)
+def test_where_there_is_no_way_it_gives_up_in_time(arm: UR5) -> None:
+    planner = Planner(arm, posts(*WALL), searches=10**9, iterations=10**9)
+    answer = planner.plan(HOME, AWAY[None], 0.0, seconds=0.0)
     assert isinstance(answer, NoPlan)
-    assert "person's region" in answer.reason
-    assert answer.milliseconds < 1000
-
-
-@pytest.mark.parametrize("change", [{"speed": 0.0}, {"acceleration": -1.0}, {"jerk": np.inf}, {"shortest": np.nan}])
-def test_impossible_options_are_refused(change: dict[str, float]) -> None:
-    with pytest.raises(OptionError):
-        PlannerOptions(**change)
+    assert answer.reason.endswith("no way around it found in time")
 
 
 def test_the_library_needs_none_of_the_robots_packages_and_the_robot_names_the_pip_command() -> None:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
-
-from kinecast.errors import OptionError
-from kinecast.robot.task_sequence import SequenceOptions, TaskSequence
+from kinecast.robot.task_sequence import TaskSequence
 
 ORDER = ("red", "green", "blue")
 
@@ -19,7 +16,7 @@ def test_order_is_kept_while_nobody_reaches_for_anything() -> None:
 
 
 def test_a_cube_that_is_reached_for_is_taken_and_comes_back_later() -> None:
-    sequence = TaskSequence(ORDER, SequenceOptions(after=0.5))
+    sequence = TaskSequence(ORDER)
     sequence.finish("red")
     sequence.update(0.0, {"green": 0.6, "blue": 0.0})
     assert sequence.is_taken("green")
@@ -32,7 +29,7 @@ def test_a_cube_that_is_reached_for_is_taken_and_comes_back_later() -> None:
 
 
 def test_a_probability_between_the_thresholds_changes_nothing() -> None:
-    sequence = TaskSequence(ORDER, SequenceOptions(taken=0.5, free=0.2, after=0.3))
+    sequence = TaskSequence(ORDER)
     sequence.update(0.0, {"red": 0.4})
     assert not sequence.is_taken("red")
     sequence.update(0.1, {"red": 0.5})
@@ -46,9 +43,3 @@ def test_what_is_given_up_is_left_no_more() -> None:
     sequence.give_up("red")
     assert sequence.remaining == ["green", "blue"]
     assert sequence.given_up == ["red"]
-
-
-@pytest.mark.parametrize(("taken", "free"), [(0.2, 0.5), (0.5, 0.5), (1.2, 0.1), (0.5, -0.1)])
-def test_thresholds_must_rise(taken: float, free: float) -> None:
-    with pytest.raises(OptionError, match="must rise"):
-        SequenceOptions(taken=taken, free=free)

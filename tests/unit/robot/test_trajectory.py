@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.robot.trajectory import Trajectory
+from kinecast.robot.trajectory import Trajectory, minimum_jerk
 
 
-def wavy(velocity: float = 0.0, acceleration: float = 0.0) -> Trajectory:
+def wavy() -> Trajectory:
     times = 3.0 + np.linspace(0, 2, 12)
     q = np.random.default_rng(0).normal(0, 0.3, (12, 6)).cumsum(axis=0)
-    return Trajectory(times, q, np.full(6, velocity), np.full(6, acceleration))
+    return Trajectory(times, q)
 
 
 def test_it_passes_its_waypoints_and_ends_at_rest() -> None:
-    path = wavy(0.4, -0.7)
+    path = wavy()
     np.testing.assert_allclose(path.at(path.times)[0], path.q, atol=1e-9)
     _, qd, qdd, _ = path.derivatives(np.array([3.0, 5.0]))
-    np.testing.assert_allclose(qd, [[0.4] * 6, [0.0] * 6], atol=1e-9)
-    np.testing.assert_allclose(qdd, [[-0.7] * 6, [0.0] * 6], atol=1e-7)
+    np.testing.assert_allclose(qd, 0.0, atol=1e-9)
+    np.testing.assert_allclose(qdd, 0.0, atol=1e-7)
 
 
 def test_derivatives_are_those_of_the_angles() -> None:
@@ -33,7 +33,7 @@ def test_derivatives_are_those_of_the_angles() -> None:
 
 
 def test_before_and_after_it_rests() -> None:
-    path = wavy(0.4)
+    path = wavy()
     for t, waypoint in ((-10.0, 0), (9.0, -1)):
         q, qd = path.at(t)
         np.testing.assert_allclose(q, path.q[waypoint], atol=1e-9)
@@ -41,12 +41,11 @@ def test_before_and_after_it_rests() -> None:
 
 
 def test_stretched_it_takes_the_same_way_more_slowly() -> None:
-    path = wavy(0.4, 0.2)
+    path = wavy()
     slow = path.stretched(2.0)
     assert slow.duration == pytest.approx(4.0)
     np.testing.assert_allclose(slow.at(4.0)[0], path.at(3.5)[0], atol=1e-9)
     np.testing.assert_allclose(slow.at(4.0)[1], path.at(3.5)[1] / 2, atol=1e-9)
-    np.testing.assert_allclose(path.delayed(1.0).at(4.5)[0], path.at(3.5)[0], atol=1e-12)
 
 
 def test_peaks_are_the_greatest_values() -> None:
@@ -56,6 +55,16 @@ def test_peaks_are_the_greatest_values() -> None:
     assert (np.abs(qd).max(axis=0) <= speed + 1e-3).all()
     assert (np.abs(qdd).max(axis=0) <= 1.001 * acceleration).all()
     assert (np.abs(qddd).max(axis=0) <= 1.01 * jerk).all()
+
+
+def test_its_excess_is_how_much_longer_it_should_take() -> None:
+    limits = np.array([1.0, 3.0, 20.0])
+    slow = wavy().stretched(wavy().excess(limits, 2000))
+    used = np.array([peak.max() for peak in slow.peaks(2000)]) / limits
+    assert used.max() == pytest.approx(1.0)
+    times = np.linspace(0.0, 1.0, 40)
+    usual = Trajectory(times, minimum_jerk(40)[:, None] * np.ones(6))
+    np.testing.assert_allclose([peak[0] for peak in usual.peaks(2001)], [1.875, 10 / 3**0.5, 60.0], rtol=2e-3)
 
 
 @pytest.mark.parametrize(

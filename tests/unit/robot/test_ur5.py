@@ -6,8 +6,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kinecast.errors import OptionError
-from kinecast.geometry.transforms import rotation_z, transform
 from kinecast.robot import inverse_kinematics
 from kinecast.robot.ur5 import LINKS, UR5
 
@@ -59,24 +57,6 @@ def test_limits_are_those_of_the_data_sheet(arm: UR5) -> None:
     assert (arm.max_jerk > 0).all()
 
 
-def test_the_base_carries_everything_with_it(arm: UR5) -> None:
-    T = transform(rotation_z(np.array(0.7)), np.array([0.3, -0.2, 0.8]))
-    moved, q = UR5(T), np.array([[0.3, -1.0, 1.2, -0.4, 0.9, 2.0]])
-    np.testing.assert_allclose(moved.forward_kinematics(q[0]), T @ arm.forward_kinematics(q[0]), atol=1e-12)
-    for here, there in (
-        (arm.capsules(q).start, moved.capsules(q).start),
-        (arm.body_points(q).positions, moved.body_points(q).positions),
-        (arm.pedestal[0][None, None], moved.pedestal[0][None, None]),
-    ):
-        np.testing.assert_allclose(there, here @ T[:3, :3].T + T[:3, 3], atol=1e-12)
-
-
-@pytest.mark.parametrize("base", [np.zeros((4, 4)), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan)])
-def test_a_base_that_is_no_transform_is_refused(base: np.ndarray) -> None:
-    with pytest.raises(OptionError, match="not a rigid transform"):
-        UR5(base)
-
-
 def test_compiled_capsules_are_where_pinocchio_puts_them(arm: UR5) -> None:
     data = arm.model.createData()
     q = np.random.default_rng(1).uniform(-3, 3, (5, 6))
@@ -110,46 +90,22 @@ def test_links_are_joined(arm: UR5) -> None:
         assert min(gaps) < capsules.radius[k] + capsules.radius[k + 1]
 
 
-def test_body_points_fill_the_capsules(arm: UR5) -> None:
-    """No place on a capsule's axis is farther from a body point than two thirds of its radius."""
-    q = np.random.default_rng(2).uniform(-3, 3, (3, 6))
-    points, capsules = arm.body_points(q), arm.capsules(q)
-    for k in range(len(LINKS)):
-        own = points.positions[:, points.link == k]
-        for share in np.linspace(0, 1, 40):
-            place = capsules.start[:, k] + share * (capsules.end[:, k] - capsules.start[:, k])
-            assert np.linalg.norm(own - place[:, None], axis=-1).min(axis=1).max() <= 0.66 * capsules.radius[k]
-    np.testing.assert_array_equal(points.radius, capsules.radius[points.link])
-
-
-def test_jacobians_are_the_derivatives_of_the_points(arm: UR5) -> None:
-    q = np.random.default_rng(3).uniform(-3, 3, (4, 6))
-    jacobians, step = arm.body_jacobians(q), 1e-6
-    for j in range(6):
-        shift = step * np.eye(6)[j]
-        slope = (arm.body_points(q + shift).positions - arm.body_points(q - shift).positions) / (2 * step)
-        np.testing.assert_allclose(jacobians[..., j], slope, atol=1e-8)
-
-
 def test_every_branch_reaches_the_place_and_the_true_one_is_among_them(arm: UR5) -> None:
     for q in np.random.default_rng(4).uniform(-3.1, 3.1, (40, 6)):
         T = arm.forward_kinematics(q)
         found = arm.inverse_kinematics(T)
         assert np.abs(found - q).max(axis=1).min() < 1e-7
         assert ((found >= arm.q_range[:, 0]) & (found <= arm.q_range[:, 1])).all()
-        for each in found[::17]:
+        for each in found:
             np.testing.assert_allclose(arm.forward_kinematics(each), T, atol=1e-9)
 
 
 def test_an_ordinary_place_has_eight_branches_all_different(arm: UR5) -> None:
     T = arm.forward_kinematics(np.array([0.4, -1.1, 1.3, 1.4, 1.2, -1.1]))
     found = arm.inverse_kinematics(T)
-    first = found[np.abs(found).max(axis=1) <= np.pi]
-    assert len(first) == 8
-    apart = np.abs(first[:, None] - first).max(axis=-1) + 9.0 * np.eye(8)
+    assert len(found) == 8
+    apart = np.abs(found[:, None] - found).max(axis=-1) + 9.0 * np.eye(8)
     assert apart.min() > 1e-3
-    # Each of the five joints with two turns to choose from has both.
-    assert len(found) == 8 * 2**5
 
 
 @pytest.mark.parametrize("q5", [0.0, np.pi, 1e-9])
@@ -157,7 +113,7 @@ def test_a_straight_wrist_is_solved_too(arm: UR5, q5: float) -> None:
     T = arm.forward_kinematics(np.array([0.4, -1.1, 1.3, 1.4, q5, 0.5]))
     found = arm.inverse_kinematics(T)
     assert len(found) > 0
-    for each in found[:8]:
+    for each in found:
         np.testing.assert_allclose(arm.forward_kinematics(each), T, atol=1e-7)
 
 

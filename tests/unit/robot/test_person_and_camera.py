@@ -1,17 +1,17 @@
-"""People, the camera that sees them, and what is kept of what it saw."""
+"""People, and the camera that sees them."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
-from kinecast.robot.body import body_capsules
-from kinecast.robot.camera import Camera, Shot
+from kinecast.robot.camera import Camera
+from kinecast.robot.cell import Cell
+from kinecast.robot.collaboration import replayed_person
 from kinecast.robot.person import PlayedPerson, ReactivePerson
 from kinecast.robot.ur5 import LinkCapsules
-from kinecast.robot.watch import Watch
-from kinecast.types import SkeletonFrame
 
 JOINTS = (
     "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist", "head", "pelvis",
@@ -100,52 +100,20 @@ def test_the_camera_falls_silent_goes_blind_and_loses_arms() -> None:
     assert all(shot.frames[0].valid[[0, 3, 6, 7]].all() for shot in lossy), "shoulders, head and hips are seen"
 
 
-def test_the_watch_knows_place_speed_and_age() -> None:
-    watch, camera, person = Watch(), Camera(noise=0.0, lost=0.0, dropped=0.0), mover(0.5)
-    for k in range(125):
-        for shot in camera.shots(k / 125, [person]):
-            watch.add(shot)
-    now = 1.0
-    seen = watch.seen(now)
-    truth = body_capsules(JOINTS, person.at(watch.newest))
-    np.testing.assert_allclose(seen.capsules.start, truth.start, atol=1e-12)
-    np.testing.assert_allclose(seen.start_velocity, np.tile([0.5, 0, 0], (9, 1)), atol=1e-6)
-    np.testing.assert_allclose(seen.age, now - watch.newest)
-
-
-def test_a_lost_wrist_stays_where_it_was_grows_old_and_has_no_speed() -> None:
-    watch = Watch()
-    for k in range(10):
-        positions = POSE.copy()
-        if k >= 5:
-            positions[2] = np.nan
-        watch.add(Shot(k / 30, k / 30, (SkeletonFrame(k / 30, JOINTS, positions, "a"),)))
-    seen = watch.seen(9 / 30)
-    forearm, hand, trunk = 1, 2, 7
-    np.testing.assert_allclose(seen.capsules.end[forearm], POSE[2])
-    assert seen.age[forearm] == seen.age[hand] == pytest.approx(5 / 30)
-    assert seen.age[trunk] == pytest.approx(0.0)
-    assert np.isnan(seen.start_velocity[hand]).all()
-    assert np.isfinite(seen.start_velocity[trunk]).all()
-
-
-def test_who_is_on_no_shot_for_a_while_has_left_but_a_silent_camera_says_nothing() -> None:
-    watch = Watch()
-    watch.add(Shot(0.0, 0.0, (SkeletonFrame(0.0, JOINTS, POSE, "a"),)))
-    assert watch.persons == ("a",)
-    assert watch.seen(10.0).age.min() == pytest.approx(10.0)
-    for k in range(1, 20):
-        watch.add(Shot(k / 30, k / 30, ()))
-    assert watch.persons == ()
-    assert len(watch.seen(1.0).age) == 0
-
-
-def test_a_person_never_seen_whole_is_named_and_old_shots_are_passed_over() -> None:
-    watch, nowhere = Watch(), np.full_like(POSE, np.nan)
-    watch.add(Shot(1.0, 1.0, (SkeletonFrame(1.0, JOINTS, nowhere, "ghost"),)))
-    assert watch.unseen() == ["ghost"]
-    watch.add(Shot(0.5, 1.0, (SkeletonFrame(0.5, JOINTS, POSE, "late"),)))
-    assert watch.persons == ("ghost",)
+def test_a_recorded_person_stands_at_the_table_and_moves_as_they_did_without_the_trackers_noise() -> None:
+    stamps = np.arange(0.0, 8.0, 1 / 30)
+    way = 0.2 * np.sin(2 * np.pi * 1.0 * stamps)
+    noise = np.random.default_rng(0).normal(0.0, 0.004, (len(stamps), len(JOINTS), 3))
+    positions = POSE + noise
+    positions[:, 2, 0] += way
+    cell = Cell()
+    person = replayed_person(Recording("take", JOINTS, stamps, positions, 30.0), cell)
+    shoulders = np.mean([person.at(float(t))[[0, 3]] for t in stamps], axis=(0, 1))
+    np.testing.assert_allclose(shoulders[:2], cell.person[:2, 3], atol=0.02)
+    hand = np.array([person.at(float(t))[2] for t in stamps])
+    towards = -(hand - hand.mean(axis=0))[:, 0]  # they look at the arm
+    np.testing.assert_allclose(towards, way - way.mean(), atol=0.015)
+    assert np.abs(np.diff(towards - way, 2)).std() < 0.3 * np.abs(np.diff(noise[:, 2, 0], 2)).std()
 
 
 def test_bad_persons_are_refused() -> None:

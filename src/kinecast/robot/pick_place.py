@@ -12,8 +12,12 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["Places", "Step", "nearest", "postures", "straight"]
+__all__ = ["GraspConfigurations", "Step", "nearest", "postures", "straight"]
 
+VERTICAL = 0.5
+"""Greatest speed of the straight ways down and up [m/s]."""
+DWELL = 0.25
+"""Time the gripper takes [s]."""
 WAYPOINTS = 9
 CONTINUOUS = 0.8
 """Between two waypoints of a straight line no angle changes by more than this, or the arm would flip over [rad]."""
@@ -68,11 +72,13 @@ def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.
     for quarter in range(4):
         T = T_world_tool.copy()
         T[:3, :3] = rotation_z(quarter * np.pi / 2) @ T[:3, :3]
-        for q in _simple(arm, T):
+        for q in arm.inverse_kinematics(T):
             elbow = arm.capsules(q[None]).start[0, LINKS.index("elbow"), 2]
             lower = T.copy()
             lower[2, 3] -= below
-            if elbow > T[2, 3] + ELBOW_ABOVE and (not below or _change(_simple(arm, lower), q).min() < CONTINUOUS):
+            if elbow > T[2, 3] + ELBOW_ABOVE and (
+                not below or _change(arm.inverse_kinematics(lower), q).min() < CONTINUOUS
+            ):
                 kept.append(q)
     return np.array(kept).reshape(-1, 6)
 
@@ -89,12 +95,6 @@ def nearest(
     return first
 
 
-def _simple(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
-    """Every branch, without full turns."""
-    every = arm.inverse_kinematics(T_world_tool)
-    return every[np.abs(every).max(axis=1, initial=0.0) <= np.pi + 1e-9]
-
-
 def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " C"]:
     """Largest change of an angle from q to each row, full turns aside; inf where there is no row."""
     if len(rows) == 0:
@@ -104,16 +104,13 @@ def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[
     return largest
 
 
-def straight(
-    arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], speed: float, start_time: float
-) -> Trajectory | None:
+def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], start_time: float) -> Trajectory | None:
     """The tool along a straight line, as it is turned, from rest to rest.
 
     Args:
         arm: the arm.
         q: (6,) where it starts [rad].
         to: (3,) where the tool ends [m].
-        speed: greatest, of the tool [m/s].
         start_time: [s].
 
     Returns:
@@ -123,12 +120,12 @@ def straight(
     way = to - T[:3, 3]
     tau = np.linspace(0.0, 1.0, WAYPOINTS)
     share = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))  # minimum jerk: its peak speed is 15/8 of its mean
-    duration = max(1.875 * float(np.linalg.norm(way)) / speed, 0.1)
+    duration = max(1.875 * float(np.linalg.norm(way)) / VERTICAL, 0.1)
     rows = [np.asarray(q, dtype=np.float64)]
     for s in share[1:]:
         place = T.copy()
         place[:3, 3] += s * way
-        choices = _simple(arm, place)
+        choices = arm.inverse_kinematics(place)
         change = _change(choices, rows[-1])
         if change.min() > CONTINUOUS:
             return None
@@ -137,7 +134,7 @@ def straight(
     return Trajectory(start_time + duration * tau, np.array(rows))
 
 
-class Places:
+class GraspConfigurations:
     """Where the arm stands above each cube, above its place, and at rest: found once, as it takes a while.
 
     Args:

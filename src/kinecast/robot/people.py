@@ -1,0 +1,200 @@
+"""What is known and predicted of everybody in the cell: where each joint was last seen, how fast it moves."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from kinecast.robot.body import BodyCapsules, OccupancyOptions, body_capsules
+from kinecast.robot.camera import Shot
+from kinecast.robot.motions import Motions, PoseHistory, motions_of
+from kinecast.robot.occupancy import arms_of, is_trusted, occupied, reach_probabilities, standing
+from kinecast.types import Prediction, SkeletonFrame
+
+__all__ = ["PeopleModel", "Seen"]
+
+SLOPE = 0.14
+"""Span of the measurements over which a joint's speed is taken [s]."""
+FORGET = 0.5
+"""A person who was not on any shot for this long has left [s]."""
+HARDEST = 10.0
+"""No joint gains speed faster [m/s²]: beyond that it is the tracking."""
+MOMENT = 1e-3
+"""Capsules' velocities are those of their joints over so long [s]."""
+ARM_PARTS = ("shoulder", "elbow", "wrist")
+NO_HAND = OccupancyOptions(hand_length=0.0)
+"""For values that belong to joints and are no places."""
+
+
+class Seen(NamedTuple):
+    """The K capsules of everybody.
+
+    Attributes:
+        start, end: (K, 3) where they were last seen [m]; NaN where never. radius: (K,) [m].
+        start_velocity, end_velocity: (K, 3) of their ends [m/s], in the middle of the last measurements; NaN where not
+            known.
+        start_velocity_now, end_velocity_now: (K, 3) as they are by now, gaining speed as they did [m/s]; NaN where not
+            known.
+        age: (K,) of the oldest joint behind each [s].
+    """
+
+    start: Float[np.ndarray, "K 3"]
+    end: Float[np.ndarray, "K 3"]
+    radius: Float[np.ndarray, " K"]
+    start_velocity: Float[np.ndarray, "K 3"]
+    end_velocity: Float[np.ndarray, "K 3"]
+    start_velocity_now: Float[np.ndarray, "K 3"]
+    end_velocity_now: Float[np.ndarray, "K 3"]
+    age: Float[np.ndarray, " K"]
+
+
+NOBODY = Seen(*(np.empty(0) if name in ("radius", "age") else np.empty((0, 3)) for name in Seen._fields))
+
+
+class PeopleModel:
+    """Keeps the last measurements, the newest prediction and the last minute of every person.
+
+    Args:
+        body: radii around the joints, and when a prediction is too old.
+        touch: a limb that comes this near to a cube's middle may take it [m].
+    """
+
+    def __init__(self, body: OccupancyOptions | None = None, touch: float = 0.06) -> None:
+        self.body, self.touch = body or OccupancyOptions(), touch
+        self.newest = -np.inf
+        """Stamp of the newest shot [s]."""
+        self.predictions: tuple[Prediction, ...] = ()
+        self._tracks: dict[str, _Track] = {}
+
+    @property
+    def persons(self) -> tuple[str, ...]:
+        """Who is there, as far as is known."""
+        return tuple(self._tracks)
+
+    def see(self, shot: Shot, predictions: Sequence[Prediction] = ()) -> None:
+        """Takes in a shot, and what is predicted from it for each person; an older shot is passed over."""
+        if not np.isfinite(shot.stamp) or shot.stamp <= self.newest:
+            return
+        self.newest = shot.stamp
+        for frame in shot.frames:
+            track = self._tracks.get(frame.person)
+            if track is None or track.joints != frame.joints:
+                track = self._tracks[frame.person] = _Track(frame.joints)
+            track.add(frame)
+        self._tracks = {name: track for name, track in self._tracks.items() if shot.stamp - track.stamp <= FORGET}
+        kept = {each.person: each for each in (*self.predictions, *predictions)}
+        self.predictions = tuple(kept[name] for name in self._tracks if name in kept)
+
+    def unseen(self) -> list[str]:
+        """Persons of whom an arm's joint was never seen: nobody knows where it is."""
+        return [name for name, track in self._tracks.items() if not np.isfinite(track.arms).all()]
+
+    def seen(self, now: float) -> Seen:
+        """Everybody's capsules as last seen."""
+        each = [NOBODY, *(track.seen(now, self.body) for track in self._tracks.values())]
+        return Seen(*map(np.concatenate, zip(*each, strict=True)))
+
+    def trusted(self, now: float) -> list[Prediction]:
+        """Predictions that say more than what can be reached."""
+        return [each for each in self.predictions if is_trusted(each, now)]
+
+    def motions(self, now: float) -> Motions | None:
+        """What everybody may do in the next seconds; None where nothing is predicted.
+
+        Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
+        """
+        if not self.predictions:
+            return None
+        shown = [each if is_trusted(each, now) else standing(each) for each in self.predictions]
+        histories = [self._tracks[each.person].history for each in shown]
+        return motions_of(shown, histories, now, self.body, round(1e3 * now))
+
+    def taken(self, cubes: Mapping[str, Float[np.ndarray, "3"]], now: float) -> dict[str, float]:
+        """Probability that somebody reaches for each of the cubes, given where they are [m]; 1 where a hand is."""
+        if not cubes:
+            return {}
+        places = np.array(list(cubes.values()))
+        chance = np.zeros(len(places))
+        for track in self._tracks.values():
+            for wrist in track.arms[[2, 5]]:
+                near = np.linalg.norm(places - wrist, axis=1) <= self.body.hand + self.body.hand_length + self.touch
+                chance = np.maximum(chance, near)
+        for prediction in self.trusted(now):
+            chance = np.maximum(chance, reach_probabilities(prediction, places, self.touch, self.body))
+        return dict(zip(cubes, chance.tolist(), strict=True))
+
+    def occupancy(self, now: float, at: float) -> Float[np.ndarray, "K 7"]:
+        """Space that may be filled at a moment ahead, for pictures: start, end and radius of capsules [m]."""
+        return occupied(self.predictions, now, at, self.body)
+
+
+class _Track:
+    """The last measurements of one person."""
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self.joints = joints
+        self.stamp = -np.inf
+        self.history = PoseHistory()
+        self._last = np.full((len(joints), 3), np.nan)
+        self._seen_at = np.full(len(joints), -np.inf)
+        self._recent: deque[tuple[float, Float[np.ndarray, "J 3"]]] = deque(maxlen=64)
+        self._motion = self._velocities()
+
+    @property
+    def arms(self) -> Float[np.ndarray, "6 3"]:
+        """(6, 3) the last places of shoulders, elbows and wrists, left and right [m]; NaN where never seen."""
+        return arms_of(SkeletonFrame(self.stamp, self.joints, self._last))
+
+    def add(self, frame: SkeletonFrame) -> None:
+        self.stamp = frame.stamp
+        self.history.add(frame.stamp, arms_of(frame))
+        self._last[frame.valid] = frame.positions[frame.valid]
+        self._seen_at[frame.valid] = frame.stamp
+        self._recent.append((frame.stamp, frame.positions))
+        while frame.stamp - self._recent[0][0] > SLOPE:
+            self._recent.popleft()
+        self._motion = self._velocities()
+
+    def _velocities(self) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3"], float]:
+        """Velocity (J, 3) [m/s] and acceleration (J, 3) [m/s²] of each joint, and how long ago the velocity was [s].
+
+        Of the straight line and of the parabola through the last measurements; NaN with fewer than three, and four.
+        Joints of trunk and head that were not always seen move with the shoulders.
+        """
+        unknown = np.full_like(self._last, np.nan)
+        if len(self._recent) < 3:
+            return unknown, unknown, 0.0
+        stamps = np.array([stamp for stamp, _ in self._recent])
+        places = np.array([positions for _, positions in self._recent])
+        lever = stamps - stamps.mean()
+        slope: Float[np.ndarray, "J 3"] = np.einsum("n,njk->jk", lever, places) / (lever @ lever)
+        bend = lever**2 - np.mean(lever**2)
+        bend -= lever * (bend @ lever) / (lever @ lever)
+        curve = unknown if len(stamps) < 4 else 2.0 * np.einsum("n,njk->jk", bend, places) / (bend @ bend)
+        size = np.linalg.norm(curve, axis=1, keepdims=True)
+        curve = curve * np.minimum(1.0, HARDEST / np.maximum(size, 1e-9))
+        shoulders = [row for row, name in enumerate(self.joints) if name.endswith("shoulder")]
+        rest = [row for row, name in enumerate(self.joints) if not name.endswith(ARM_PARTS)]
+        lost = [row for row in rest if not np.isfinite(slope[row]).all()]
+        for values in (slope, curve):
+            values[lost] = values[shoulders].mean(axis=0)
+        return slope, curve, float(stamps[-1] - stamps.mean())
+
+    def seen(self, now: float, body: OccupancyOptions) -> Seen:
+        velocity, acceleration, lag = self._motion
+        capsules = body_capsules(self.joints, self._last, body)
+
+        def rate(velocity: Float[np.ndarray, "J 3"]) -> tuple[np.ndarray, np.ndarray]:
+            """Of starts and ends, whatever joints they hang on: by the capsules of joints a moment later."""
+            moved: BodyCapsules = body_capsules(self.joints, self._last + MOMENT * velocity, body)
+            return (moved.start - capsules.start) / MOMENT, (moved.end - capsules.end) / MOMENT
+
+        since = now - self.stamp
+        ages = body_capsules(self.joints, np.repeat((now - self._seen_at)[:, None], 3, axis=1), NO_HAND)
+        age = np.maximum(ages.start[:, 0], ages.end[:, 0])
+        later = velocity + (lag + since) * acceleration
+        return Seen(capsules.start, capsules.end, capsules.radius, *rate(velocity), *rate(later), age)
