@@ -18,40 +18,24 @@ RATE = 30.0
 
 @dataclass(frozen=True)
 class Shot:
-    """Everybody seen at one instant. An empty one says that nobody is there; a silent camera says nothing.
+    """Everybody seen at one instant. An empty one says that nobody is there; a silent camera says nothing."""
 
-    Attributes:
-        stamp: when it was taken [s].
-        arrival: when it is known [s].
-        frames: one for each person.
-    """
-
-    stamp: float
-    arrival: float
-    frames: tuple[SkeletonFrame, ...]
+    stamp: float  # when it was taken [s]
+    arrival: float  # when it is known [s]
+    frames: tuple[SkeletonFrame, ...]  # one for each person
 
 
 @dataclass
 class Camera:
-    """Takes a shot at every multiple of its period, with its faults, and hands it over when it is known.
+    """Takes a shot at every multiple of its period, with its faults, and hands it over when it is known."""
 
-    Attributes:
-        delay: from taking to knowing [s]: exposure, pose estimation, network.
-        noise: standard deviation of each coordinate [m]; HA4M: 1.3 mm at the neck to 2.4 mm at a wrist.
-        lost: share of shots in which one arm is not seen.
-        dropped: share of shots that never arrive.
-        silent: when no shot is taken: pairs of from and until [s].
-        blind: when every joint is NaN.
-        seed: of the noise.
-    """
-
-    delay: float = 0.04
-    noise: float = 0.002
-    lost: float = 0.01
-    dropped: float = 0.005
-    silent: tuple[tuple[float, float], ...] = ()
-    blind: tuple[tuple[float, float], ...] = ()
-    seed: int = 0
+    delay: float = 0.04  # from taking to knowing [s]: exposure, pose estimation, network
+    noise: float = 0.002  # standard deviation of each coordinate [m]; HA4M: 1.3 mm at the neck to 2.4 mm at a wrist
+    lost: float = 0.01  # share of shots in which one arm is not seen
+    dropped: float = 0.005  # share of shots that never arrive
+    silent: tuple[tuple[float, float], ...] = ()  # when no shot is taken, from and until [s]
+    blind: tuple[tuple[float, float], ...] = ()  # when every joint is NaN, from and until [s]
+    seed: int = 0  # of the noise
     _next: int = field(default=0, init=False)
 
     def shots(self, now: float, people: Sequence[Person]) -> list[Shot]:

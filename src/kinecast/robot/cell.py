@@ -27,19 +27,12 @@ TABLE_HEIGHT = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Cube:
-    """One thing to be moved.
+    """One thing to be moved."""
 
-    Attributes:
-        name: also its colour.
-        position: (3,) where it stands, its centre [m].
-        place: (3,) where it is to stand [m].
-        size: length of an edge [m].
-    """
-
-    name: str
-    position: Float[np.ndarray, " 3"]
-    place: Float[np.ndarray, " 3"]
-    size: float = 0.05
+    name: str  # also its colour
+    position: Float[np.ndarray, " 3"]  # where it stands, its centre [m]
+    place: Float[np.ndarray, " 3"]  # where it is to stand [m]
+    size: float = 0.05  # length of an edge [m]
 
 
 def _cubes(apart: float = 0.38, first: float = 0.0) -> tuple[Cube, ...]:
@@ -131,12 +124,7 @@ def standing_at(x: float, y: float) -> Float[np.ndarray, "4 4"]:
 
 
 CELLS: dict[str, Callable[[], Cell]] = {
-    "lab": lambda: Cell(
-        _cubes(0.32, 0.12),
-        person=standing_at(1.15, 0.0),
-        separation=SeparationOptions(),
-        delay=0.04,
-    ),
+    "lab": lambda: Cell(_cubes(0.32, 0.12), person=standing_at(1.15, 0.0), separation=SeparationOptions(), delay=0.04),
     "camera": Cell,
     "certified": lambda: Cell(separation=replace(CAMERA, least_speed=1.6)),
 }

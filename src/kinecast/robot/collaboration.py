@@ -48,17 +48,11 @@ PALM = 0.09
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scripted person.
+    """A scripted person."""
 
-    Attributes:
-        about: what it shows, in words.
-        fetches: cube, start [s] and hold [s] of each reach; without any they do what they would.
-        left: with which hand.
-    """
-
-    about: str
-    fetches: tuple[tuple[str, float, float], ...]
-    left: bool = False
+    about: str  # what it shows, in words
+    fetches: tuple[tuple[str, float, float], ...]  # cube, start and hold [s] of each; without any they do as they would
+    left: bool = False  # with which hand
 
 
 SCENARIOS = {

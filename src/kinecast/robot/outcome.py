@@ -34,44 +34,25 @@ EVERY = 5
 
 @dataclass(frozen=True)
 class Outcome:
-    """Figures of one episode.
+    """Figures of one episode; NaN where there is nothing to count."""
 
-    Attributes:
-        result: `done`, or what is missing.
-        contacts: how often the arm and a person (kinecast.robot.body.TRUE_BODY) touched.
-        contacts_moving: of these, while the arm moved.
-        least_distance: between them [m]; inf where nobody came.
-        violation: time during which the arm moved and the true distance was less than the true S_p [s].
-        time_to_done: until the last cube stood in its place, or the episode's end [s].
-        stops: standstills on the way, a quarter of a second or longer.
-        stopped: time spent in them [s].
-        replans: changes of cube or path.
-        false_replans: changes of cube where the person did not reach for the one left within a second.
-        latency_p50, latency_p99: frame in to decision out, planning beside it not counted [ms].
-        planning_p50, planning_p99: of a plan [ms].
-        forecasts: how many times of ways were foretold and came out.
-        forecast_error: median of their relative errors.
-        forecast_held: share of them within the 90 % interval that was foretold, or 0.2 s of it: a control
-            step of the roll-out on either side.
-    """
-
-    result: str
-    contacts: int
-    contacts_moving: int
-    least_distance: float
-    violation: float
-    time_to_done: float
-    stops: int
-    stopped: float
-    replans: int
-    false_replans: int
-    latency_p50: float
+    result: str  # `done`, or what is missing
+    contacts: int  # how often the arm and a person (kinecast.robot.body.TRUE_BODY) touched
+    contacts_moving: int  # of these, while the arm moved
+    least_distance: float  # between them [m]; inf where nobody came
+    violation: float  # time during which the arm moved and the true distance was less than the true S_p [s]
+    time_to_done: float  # until the last cube stood in its place, or the episode's end [s]
+    stops: int  # standstills on the way, a quarter of a second or longer
+    stopped: float  # time spent in them [s]
+    replans: int  # changes of cube or path
+    false_replans: int  # changes of cube where the person did not reach for the one left within a second
+    latency_p50: float  # frame in to decision out, planning beside it not counted [ms]
     latency_p99: float
-    planning_p50: float
+    planning_p50: float  # of a plan [ms]
     planning_p99: float
-    forecasts: int
-    forecast_error: float
-    forecast_held: float
+    forecasts: int  # how many times of ways were foretold and came out
+    forecast_error: float  # median of their relative errors
+    forecast_held: float  # share of them within the 90 % interval that was foretold, or `NEARLY` of it
 
     def plain(self) -> dict[str, Any]:
         """As `simulate` writes it to outcome.json."""

@@ -25,19 +25,14 @@ CHANGE = 5.0
 class PlayedPerson:
     """A motion in the cell; between frames it goes on evenly, before and after it stands still.
 
-    Attributes:
-        name: tells persons apart.
-        joints: names of the J joints (kinecast.body.skeleton).
-        stamps: (N,) rising [s], on the simulation's clock.
-        positions: (N, J, 3) in the cell [m]; a joint that is missing is bridged, or NaN if it always is.
-        present: when the person is in the cell, from and until [s].
+    A joint that is missing is bridged, or NaN if it always is.
     """
 
-    name: str
-    joints: tuple[str, ...]
-    stamps: Float[np.ndarray, " N"]
-    positions: Float[np.ndarray, "N J 3"]
-    present: tuple[float, float] = (-np.inf, np.inf)
+    name: str  # tells persons apart
+    joints: tuple[str, ...]  # names of the J joints (kinecast.body.skeleton)
+    stamps: Float[np.ndarray, " N"]  # rising, on the simulation's clock [s]
+    positions: Float[np.ndarray, "N J 3"]  # in the cell [m]
+    present: tuple[float, float] = (-np.inf, np.inf)  # when the person is in the cell, from and until [s]
 
     def __post_init__(self) -> None:
         if len(self.stamps) == 0 or not np.all(np.diff(self.stamps) > 0):

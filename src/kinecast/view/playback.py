@@ -20,37 +20,23 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Setting:
-    """What is simulated.
+    """What is simulated."""
 
-    Attributes:
-        scenario: what the person does.
-        predictor: what predicts them.
-        level: probability that an occupied capsule holds its limb.
-    """
-
-    scenario: str
-    predictor: str
-    level: float = 0.95
+    scenario: str  # what the person does
+    predictor: str  # what predicts them
+    level: float = 0.95  # probability that an occupied capsule holds its limb
 
 
 @dataclass(frozen=True)
 class Simulations:
-    """What can be simulated, and how.
+    """What can be simulated, and how."""
 
-    Attributes:
-        scenarios, predictors: to choose from.
-        cell: where.
-        make: a simulation, ready to run.
-        tell: called with every new decision, in the thread of the simulation.
-        end: called with a simulation that came to its end; says how, in words.
-    """
-
-    scenarios: tuple[str, ...]
+    scenarios: tuple[str, ...]  # to choose from
     predictors: tuple[str, ...]
     cell: Cell
-    make: Callable[[Setting], Simulation]
-    tell: Callable[[Decision], None]
-    end: Callable[[Setting, Simulation], str]
+    make: Callable[[Setting], Simulation]  # a simulation, ready to run
+    tell: Callable[[Decision], None]  # called with every new decision, in the thread of the simulation
+    end: Callable[[Setting, Simulation], str]  # called with one that came to its end; says how, in words
 
 
 class Run:
