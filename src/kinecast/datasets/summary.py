@@ -46,10 +46,8 @@ class Summary:
     share of it."""
     speeds: Mapping[str, Mapping[str, float]]
     """Of elbows and wrists over one frame, repeats and jumps left out: `p50`, `p99`, `max` [m/s]."""
-    outside_range: float
-    """Share of frames, after a repair, with an arm angle outside `JointLimits`."""
-    too_fast: float
-    """Share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow."""
+    outside_range: float  # share of frames, after a repair, with an arm angle outside `JointLimits`
+    too_fast: float  # share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow
 
     @property
     def labels(self) -> dict[str, int]:

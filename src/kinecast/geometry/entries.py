@@ -16,9 +16,7 @@ from kinecast.errors import DatasetError, OptionError
 
 MAXIMUM_BYTES = 1_000_000
 MAXIMUM_DEPTH = 8
-LARGEST = 100.0
-"""No cell is 100 m wide and nothing in it moves at 100 m/s: a larger number is in millimetres."""
-
+LARGEST = 100.0  # no cell is 100 m wide and nothing in it moves at 100 m/s: a larger number is in millimetres
 T = TypeVar("T")
 
 _short = Repr()
