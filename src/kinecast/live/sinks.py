@@ -39,7 +39,7 @@ class Sink(Protocol):
     def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
-class Writing(Generic[Item]):
+class BackgroundWriter(Generic[Item]):
     """Writes what it is given in a thread of its own; what comes while too much waits is dropped and counted."""
 
     def __init__(self, address: str, most_waiting: int = MOST_WAITING) -> None:
@@ -85,7 +85,7 @@ class Writing(Generic[Item]):
         self.counters.attempt(self.finish)
 
 
-class FileSink(Writing[Publication]):
+class FileSink(BackgroundWriter[Publication]):
     """A file of publications; one that is at the path is replaced, or an OSError raised."""
 
     def __init__(self, path: Path) -> None:
