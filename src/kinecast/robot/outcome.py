@@ -52,7 +52,7 @@ class Outcome:
     planning_p99: float
     forecasts: int  # how many times of ways were foretold and came out
     forecast_error: float  # median of their relative errors
-    forecast_held: float  # share of them within the 90 % interval that was foretold, or `NEARLY` of it
+    forecast_held: float  # share of them within the 90 % interval that was foretold
 
     def plain(self) -> dict[str, Any]:
         """As `simulate` writes it to outcome.json."""
