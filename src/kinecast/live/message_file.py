@@ -5,7 +5,6 @@ Predictions hold the arms they rest on, as measured: that is what is read from t
 
 from __future__ import annotations
 
-import heapq
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -22,7 +21,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.table import Rows, Words
 from kinecast.errors import DatasetError
 from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, person_of
-from kinecast.pipeline import frames
+from kinecast.pipeline import labelled_frames
 from kinecast.types import SkeletonFrame
 
 LONGEST_LINE = 1 << 20  # bytes of one message; a prediction of 300 steps has 400,000
@@ -36,15 +35,6 @@ class _Message(SkeletonMessage, gc=False):
     label: str | None = None
     source: str = ""
     observed: list[list[float | None]] | None = None
-
-
-def labelled_frames(recordings: Sequence[Recording]) -> Iterator[tuple[SkeletonFrame, str | None]]:
-    """All persons' frames by stamp, each with its label."""
-
-    def one(recording: Recording) -> Iterator[tuple[SkeletonFrame, str | None]]:
-        return zip(frames(recording), recording.labels or (None,) * len(recording.stamps), strict=True)
-
-    return heapq.merge(*map(one, recordings), key=lambda each: each[0].stamp)
 
 
 def message(frame: SkeletonFrame, label: str | None) -> bytes:
