@@ -17,15 +17,19 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.limits import JointLimits
-from kinecast.prediction.constraint import ConstraintFactor
-from kinecast.prediction.density import GaussianMixture, PoseDensity
+from kinecast.prediction.density import ConstraintFactor, GaussianMixture, PoseDensity
 from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
-from kinecast.prediction.kinecast.adaptive_scale import AdaptiveScale
-from kinecast.prediction.kinecast.error_model import SCALES, ErrorModel, error_features
-from kinecast.prediction.kinecast.experts import TRIVIAL, Networks, forecasts, networks_from_arrays
-from kinecast.prediction.kinecast.features import WindowMotion, yaw_frame
-from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
-from kinecast.prediction.kinecast.weights import Gate, GateInputs, fallback_weights, gate_inputs, rolling_errors
+from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
+from kinecast.prediction.kinecast.experts import TRIVIAL, FeatureScale, Networks, WindowMotion, forecasts, yaw_frame
+from kinecast.prediction.kinecast.weights import (
+    HALF_LIVES,
+    LEADS,
+    Gate,
+    GateInputs,
+    RollingForecastErrors,
+    fallback_weights,
+    gate_inputs,
+)
 from kinecast.prediction.method import Forecast
 from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation
@@ -40,10 +44,8 @@ RECENT_LEADS = [1, 3]
 FLOOR = 5e-4
 """Least spread of a joint [m], for directions that the low-rank factor leaves out."""
 
-
 Motion: TypeAlias = Float[np.ndarray, "T 6 3"]
 Motions: TypeAlias = Float[np.ndarray, "E T 6 3"]
-Window: TypeAlias = Float[np.ndarray, "N 6 3"]
 Factor: TypeAlias = Float[np.ndarray, "T 6 3 R"]
 
 
@@ -86,13 +88,14 @@ class Mixture:
     falls_back: bool = True
 
     def rolling_errors(self) -> RollingForecastErrors:
-        """Nothing remembered yet of a person."""
-        return rolling_errors(TRIVIAL + len(self.experts), self.steps)
+        """Nothing remembered yet of a person: of each expert, then of their mixture, then of the final mean."""
+        leads = tuple(min(lead, self.steps) for lead in LEADS)
+        return RollingForecastErrors(TRIVIAL + len(self.experts) + 2, leads, HALF_LIVES)
 
     def update(
         self,
         errors: RollingForecastErrors,
-        window: Window,
+        window: Float[np.ndarray, "N 6 3"],
         measured: Float[np.ndarray, "6 3"],
         made: Motions | None = None,
     ) -> MixtureOutput:
@@ -110,12 +113,11 @@ class Mixture:
             weights = np.full((len(made), self.steps, 6), 1.0 / len(made))
         else:
             weights = self.gate.weights(inputs, self.steps)
-        mixed = (weights[..., None] * made).sum(axis=0)
-        mean, trust = mixed, np.ones(6)
+        mean = mixed = (weights[..., None] * made).sum(axis=0)
+        trust = np.ones(6)
         if self.falls_back:
-            shares = fallback_weights(due, errors.frames)
-            trust = shares[0]
-            mean = trust[:, None] * mixed + (shares[1:, None, :, None] * made[:TRIVIAL]).sum(axis=0)
+            trust, *others = fallback_weights(due, errors.frames)
+            mean = trust[:, None] * mixed + (np.array(others)[:, None, :, None] * made[:TRIVIAL]).sum(axis=0)
         features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
         errors.predicted(np.concatenate([made, mixed[None], mean[None]]))
         learned = float((trust * weights[TRIVIAL:].sum(axis=0).mean(axis=0)).mean())
@@ -209,12 +211,12 @@ class Kinecast:
         if state.output is None or state.scale is None or state.weights is None:
             state = self.update(state, observation, observation.positions[-1])
             return self.forecast(state, observation, rng, samples)
-        scale = state.scale
+        scale, output, model = state.scale, state.output, self.error_model
         if state.adaptive is not None:
-            scale = scale * state.adaptive.factor(state.output.motion.speed)
+            scale = scale * state.adaptive.factor(output.motion.speed)
         rotation = observation.frame[0].T @ yaw_frame(observation.positions[-1])
-        factor = with_noise(self.error_model.factor_in(scale, rotation), observation.noise)
-        mean = observation.to_torso(state.output.mean)
+        factor = with_noise(model.factor_in(scale, rotation), observation.noise)
+        mean, world_mean = observation.to_torso(output.mean), output.mean
         draws = rng.standard_normal((factor.shape[-1], samples))
         common, goals = common_factors(state.weights, samples, rng), None
         if observation.goals is None:
@@ -224,29 +226,30 @@ class Kinecast:
             goals = goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
             draws *= rng.permutation(common)
             goals.move(draws, rng)
-        motions = sample_motions(observation, mean, factor, draws, self.limits, self.error_model.farthest)
+            world_mean = world_mean + goals.mean(factor) @ observation.frame[0].T
         constraint = None
         if self.limits is not None:
-            constraint = ConstraintFactor(
-                lambda: mean + np.tensordot(draws, factor, axes=(0, 3)), observation, self.limits, self.noise
-            )
+            drawn = lambda: mean + np.tensordot(draws, factor, axes=(0, 3))  # noqa: E731
+            constraint = ConstraintFactor(drawn, observation, self.limits, self.noise)
+        blocks = _blocks(mean, factor, model.rough, state.weights, goals)
         return Forecast(
-            motions,
-            state.output.mean if goals is None else state.output.mean + goals.mean(factor) @ observation.frame[0].T,
-            PoseDensity(
-                observation, mean, _blocks(mean, factor, self.error_model.rough, state.weights, goals), constraint
-            ),
+            sample_motions(observation, mean, factor, draws, self.limits, model.farthest),
+            world_mean,
+            PoseDensity(observation, mean, blocks, constraint),
             self.limits is not None,
-            {"learned_share": state.output.learned},
+            {"learned_share": output.learned},
             {} if goals is None else goals.goals,
         )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a model file."""
-        assert self.mixture.gate is not None
-        parts = {"gate": self.mixture.gate.to_arrays(), "spread": self.error_model.to_arrays()}
-        parts["experts"] = self.mixture.experts.to_arrays()
-        return {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+        parts = {"gate": self.mixture.gate, "spread": self.error_model, "experts": self.mixture.experts}
+        return {
+            f"{part}.{name}": array
+            for part, of in parts.items()
+            if of is not None
+            for name, array in of.to_arrays().items()
+        }
 
 
 def _blocks(
@@ -307,14 +310,9 @@ def _with_networks(whole: Kinecast, which: Sequence[int]) -> Kinecast:
 
 
 def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> Kinecast:
-    """The method that `Kinecast.to_arrays` described; KeyError or ValueError where arrays are missing or do not fit."""
-    parts: dict[str, dict[str, np.ndarray]] = {}
-    for name, array in arrays.items():
-        part, _, own = name.partition(".")
-        parts.setdefault(part, {})[own] = array
-    experts = networks_from_arrays(parts["experts"])
-    gate = Gate.from_arrays(parts["gate"])
-    error_model = ErrorModel.from_arrays(parts["spread"])
+    """The method that `Kinecast.to_arrays` described; ValueError where arrays are missing or do not fit."""
+    experts = Networks.from_arrays(arrays, "experts.", scale=FeatureScale.from_arrays(arrays, "experts.scale."))
+    gate, error_model = Gate.from_arrays(arrays, "gate."), ErrorModel.from_arrays(arrays, "spread.")
     if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != card.steps:
         raise ValueError(f"{len(experts)} experts, {error_model.factor.shape[0]} steps")
     return Kinecast(Mixture(experts, gate, card.frames, card.steps), error_model, card.dt, card.noise, card.limits)
