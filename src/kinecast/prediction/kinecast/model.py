@@ -227,10 +227,11 @@ class Kinecast:
             draws *= rng.permutation(common)
             goals.move(draws, rng)
             world_mean = world_mean + goals.mean(factor) @ observation.frame[0].T
-        constraint = None
-        if self.limits is not None:
-            drawn = lambda: mean + np.tensordot(draws, factor, axes=(0, 3))  # noqa: E731
-            constraint = ConstraintFactor(drawn, observation, self.limits, self.noise)
+
+        def drawn() -> Float[np.ndarray, "S T 6 3"]:
+            return mean + np.tensordot(draws, factor, axes=(0, 3))
+
+        constraint = None if self.limits is None else ConstraintFactor(drawn, observation, self.limits, self.noise)
         blocks = _blocks(mean, factor, model.rough, state.weights, goals)
         return Forecast(
             sample_motions(observation, mean, factor, draws, self.limits, model.farthest),
