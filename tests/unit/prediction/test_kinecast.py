@@ -129,8 +129,8 @@ class TestForecast:
 
     def test_left_and_right_are_the_same_in_a_mirror(self, method: Kinecast, observation: Observation) -> None:
         swapped = observation.positions[:, SWAP] * MIRROR
-        one = forecasts(method.mixture.experts, observation.positions[None], method.steps)[0]
-        other = forecasts(method.mixture.experts, swapped[None], method.steps)[0]
+        one = forecasts(method.experts, observation.positions[None], method.steps)[0]
+        other = forecasts(method.experts, swapped[None], method.steps)[0]
         np.testing.assert_allclose(other, one[:, :, SWAP] * MIRROR, atol=1e-9)
 
     def test_noise_given_by_the_camera_widens_it(self, method: Kinecast, observation: Observation) -> None:

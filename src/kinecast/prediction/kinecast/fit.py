@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel, fit_error_model
 from kinecast.prediction.kinecast.experts import FeatureScale, Networks, arm_views, fit_network, forecasts, yaw_frame
-from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, Mixture, MixtureOutput
-from kinecast.prediction.kinecast.weights import Gate, fit_gate
+from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
+from kinecast.prediction.kinecast.weights import Gate, fit_gate, rolling_errors
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks import Workers, generator
 
@@ -55,7 +55,6 @@ def fitting_kinecast(
         noise: spread of a measured joint about the true one [m].
         seed: of everything random.
     """
-    frames, steps, dt = windows.shape
     scale = workers.submit(_feature_scale, data, seed)
 
     def network(rows: Rows, noisy: bool = False) -> Any:
@@ -74,19 +73,15 @@ def fitting_kinecast(
         both = general(np.flatnonzero(inside))
         seen = set(windows.collection[inside].tolist()) - set(windows.collection[outside].tolist())
         stand_in = [fitted if each in seen else both[0] for each, fitted in own.items()]
-        mixture = workers.submit(_mixture, both + stand_in, None, frames, steps)
+        networks = workers.submit(Networks.joined, both + stand_in)
         for recording in np.unique(windows.recording[outside & followed]).tolist():
-            held.append((mixture, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
+            held.append((networks, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
     examples = [workers.submit(_gate_examples, *each, data, seed) for each in held]
     gate = workers.submit(_gate, examples, seed)
-    errors = [workers.submit(_error_examples, mixture, rows, data, gate) for mixture, rows, _ in held]
+    errors = [workers.submit(_error_examples, networks, rows, data, gate) for networks, rows, _ in held]
     spread = workers.submit(_error_model, errors, seed)
-    mixture = workers.submit(_mixture, general(np.arange(len(windows))) + list(own.values()), gate, frames, steps)
-    return workers.submit(Kinecast, mixture, spread, dt, noise, limits)
-
-
-def _mixture(networks: Sequence[Networks], gate: Gate | None, frames: int, steps: int) -> Mixture:
-    return Mixture(Networks.joined(networks), gate, frames, steps)
+    networks = workers.submit(Networks.joined, general(np.arange(len(windows))) + list(own.values()))
+    return workers.submit(Kinecast, networks, gate, spread, *windows.shape, noise, limits)
 
 
 def _feature_scale(data: TrainingWindows, seed: int) -> FeatureScale:
@@ -129,11 +124,13 @@ def _white_noise(
     return np.exp(level) * rng.standard_normal((windows, frames, 6, 3))
 
 
-def _gate_examples(mixture: Mixture, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int) -> Examples:
+def _gate_examples(
+    networks: Networks, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int
+) -> Examples:
     """Every eighth window of a recording as the gate would see it online, from a clean and from a noisy sensor."""
     part, examples = data.take(rows), []
     for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
-        for row, output, window in _followed(mixture, each):
+        for row, output, window in _followed(networks, None, each):
             if row % 8 == 0:
                 made = (output.forecasts - window[-1]).astype(np.float32)
                 came = (each.future[row] - window[-1]).astype(np.float32)
@@ -166,10 +163,10 @@ def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> Trai
     return replace(windows, observed=windows.observed + noise[seen], future=windows.future + noise[ahead])
 
 
-def _error_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
+def _error_examples(networks: Networks, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
     """Errors of the mixture on a recording in each arm's own axes, features of the error model, collection."""
     part, examples = data.take(rows), []
-    for row, output, window in _followed(replace(mixture, gate=gate), part):
+    for row, output, window in _followed(networks, gate, part):
         own = (part.future[row] - output.mean) @ yaw_frame(window[-1])
         examples.append((np.einsum("tjd,jde->tje", own, SIDES), output.features, part.collection[row]))
     return tuple(map(np.stack, zip(*examples, strict=True)))
@@ -182,15 +179,16 @@ def _error_model(examples: Sequence[Examples], seed: int) -> ErrorModel:
 
 
 def _followed(
-    mixture: Mixture, windows: TrainingWindows
+    networks: Networks, gate: Gate | None, windows: TrainingWindows
 ) -> Iterator[tuple[int, MixtureOutput, Float[np.ndarray, "N 6 3"]]]:
     """One recording frame by frame, as online: row, what the mixture says, window."""
-    made = forecasts(mixture.experts, windows.observed, mixture.steps)
-    errors, before = mixture.rolling_errors(), int(windows.frame[0]) - 1
+    steps, before = windows.future.shape[1], int(windows.frame[0]) - 1
+    made = forecasts(networks, windows.observed, steps)
+    errors = rolling_errors(len(networks), steps)
     for row, frame in enumerate(windows.frame.tolist()):
         if frame - before - 1 > LONGEST_PAUSE:
-            errors, before = mixture.rolling_errors(), frame - 1
+            errors, before = rolling_errors(len(networks), steps), frame - 1
         errors.skip(frame - before - 1)
         window = windows.observed[row]
-        yield row, mixture.update(errors, window, window[-1], made[row]), window
+        yield row, mix(gate, errors, window, window[-1], made[row]), window
         before = frame

@@ -91,6 +91,11 @@ class RollingForecastErrors:
             return (self._sum / self._weight[:, None, None]).transpose(1, 2, 0, 3)
 
 
+def rolling_errors(experts: int, steps: int) -> RollingForecastErrors:
+    """Nothing remembered yet: of the experts, `experts` learned ones among them, of their mixture, of the mean."""
+    return RollingForecastErrors(TRIVIAL + experts + 2, tuple(min(lead, steps) for lead in LEADS), HALF_LIVES)
+
+
 @dataclass(frozen=True)
 class GateInputs:
     """What the gate looks at.
