@@ -25,9 +25,8 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ClusterError, DatasetError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
-from kinecast.prediction.kinecast.experts import fit_network
-from kinecast.prediction.kinecast.features import FeatureScale, arm_views
-from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
+from kinecast.prediction.kinecast.experts import FeatureScale, arm_views, fit_network
+from kinecast.prediction.methods import shipped_methods, train
 from kinecast.tasks import Cluster, Serial, Workers, cluster_at, scatter, worker_count
 
 
@@ -60,7 +59,7 @@ class Killer:
 def outcome(people: list[Recording], workers: Workers, progress: Any = None) -> tuple[dict[str, bytes], str]:
     """Arrays of trained methods, and their scores as text."""
     windows = training_windows(people[:2], WindowOptions(), workers=workers)
-    methods = train(["ridge", "ridge_angles"], windows, TrainingOptions(), progress, workers)
+    methods = train(["ridge", "ridge_angles"], windows, 0, progress, workers)
     _, whole = shipped_methods()
     methods["kinecast"] = whole["kinecast"]  # it follows the person; training it takes long
     arrays = {f"{name}.{key}": a.tobytes() for name, m in methods.items() for key, a in m.to_arrays().items()}
