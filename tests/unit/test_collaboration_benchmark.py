@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 if find_spec("benchmarks") is None:
@@ -14,8 +15,12 @@ if find_spec("benchmarks") is None:
 
 from benchmarks import collaboration
 from benchmarks.collaboration_report import summarise
+from benchmarks.least_time import Ways
 
+from kinecast.robot.cell import Cell
+from kinecast.robot.collaboration import generated_person
 from kinecast.robot.outcome import Outcome
+from kinecast.robot.person import PlayedPerson
 
 
 def run(monkeypatch: pytest.MonkeyPatch, folder: Path, episodes: int, limit: float = 0.4) -> dict[str, Any]:
@@ -59,3 +64,13 @@ def test_differences_are_of_the_same_episodes() -> None:
     assert row["time_to_done"]["error"] == pytest.approx(2.5)
     assert row["stops"]["mean"] == pytest.approx(-2.0)
     assert row["time_saved"] == pytest.approx(1 / 3)
+
+
+def test_what_nobody_could_avoid_is_nothing_beside_who_stays_away_and_much_beside_who_reaches_over_the_table() -> None:
+    cell = Cell()
+    ways, busy = Ways(cell), generated_person(0, cell)
+    away = PlayedPerson("away", busy.joints, busy.stamps, busy.positions + np.array([2.0, 0.0, 0.0]))
+    empty = ways.least_time(None)
+    assert 15.0 < empty < 30.0
+    assert ways.least_time(away) == pytest.approx(empty)
+    assert ways.least_time(busy) > empty + 2.0
