@@ -35,8 +35,8 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, training_windows
-from kinecast.prediction.kinecast.features import FeatureScale, arm_views
-from kinecast.prediction.methods import TrainingOptions, train
+from kinecast.prediction.kinecast.experts import FeatureScale, arm_views
+from kinecast.prediction.methods import train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks import Serial
 
@@ -51,8 +51,7 @@ STRIDE = 5
 STAGES = (
     ("cut windows", ("resampled_windows",)),
     ("fit experts and baselines",
-     ("examples", "position_examples", "posture_examples", "residual_moment", "fit_all", "residual_factor", "network",
-      "feature_scale", "mixture")),
+     ("fit", "network", "feature_scale", "joined")),
     ("examples for the gate", ("gate_examples",)),
     ("fit the gate", ("gate",)),
     ("examples for the error model", ("error_examples",)),
@@ -169,7 +168,7 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
     windows = training_windows(others, options, workers=workers)
     most = min(len(windows), arguments.windows)
     windows = windows.take(_leading(windows.recording, share * most / len(windows)))
-    methods = train(arguments.methods.split(","), windows, TrainingOptions(), workers=workers)
+    methods = train(arguments.methods.split(","), windows, workers=workers)
     parts = all_windows(tested, options)
     scored = TestRecording.of(parts, all_windows(tested, every_frame(options)))
     evaluate(methods, scored, None, EvaluationOptions(arguments.samples, arguments.repeats), workers=workers)

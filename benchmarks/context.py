@@ -43,7 +43,7 @@ from kinecast.pipeline import every_frame, followed, training_windows
 from kinecast.prediction.goals import HANDS, WRISTS
 from kinecast.prediction.kinecast.model import Kinecast
 from kinecast.prediction.method import Method, forecast_in_scene
-from kinecast.prediction.methods import TrainingOptions, card_of, read_method, save_method, shipped_methods, train
+from kinecast.prediction.methods import card_of, read_method, save_method, shipped_methods, train
 
 OPTIONS = WindowOptions()
 PEOPLE, SEED, DURATION = 6, 300, 20.0
@@ -236,9 +236,9 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
 def model_of(recordings: Sequence[Recording], path: Path) -> Kinecast:
     """A model trained on recordings, or read from a file."""
     if not path.exists():
-        data, settings = training_windows(recordings, OPTIONS), TrainingOptions()
-        trained = train(["kinecast"], data, settings)["kinecast"]
-        save_method(path, card_of("kinecast", trained, data, settings, "", [each.name for each in recordings]), trained)
+        data = training_windows(recordings, OPTIONS)
+        trained = train(["kinecast"], data)["kinecast"]
+        save_method(path, card_of("kinecast", trained, data, "", [each.name for each in recordings]), trained)
     card, method = read_method(path)
     if set(card.trained_on) != {each.name for each in recordings}:
         raise SystemExit(f"{path}: trained on other recordings than this benchmark trains on")

@@ -35,7 +35,7 @@ from kinecast.pipeline import every_frame, training_windows
 from kinecast.prediction.gaussian import PositionGaussian
 from kinecast.prediction.linear import damped
 from kinecast.prediction.method import Method
-from kinecast.prediction.methods import TrainingOptions, limits_of, read_method, train
+from kinecast.prediction.methods import limits_of, read_method, train
 from kinecast.prediction.noise import sensor_noise
 
 VICON, HA4M = "human_robot_animations", "ha4m_features_demo/UpSkel"
@@ -108,10 +108,10 @@ def fit(names: Sequence[str], recordings: Sequence[Recording]) -> Trained:
 
     The one place that trains. Methods may predict further than is scored: `Watched` cuts them.
     """
-    started, settings = time.perf_counter(), TrainingOptions()
+    started = time.perf_counter()
     data = training_windows(recordings, WindowOptions())
     some = data.take(np.arange(0, len(data), -(-len(data) // FITTED)))
-    methods = train([name for name in names if name not in ("damped_085", "kinecast")], some, settings)
+    methods = train([name for name in names if name not in ("damped_085", "kinecast")], some)
     if "damped_085" in names:
         frames, steps, _ = some.shape
         velocity = np.zeros(frames)
@@ -119,8 +119,8 @@ def fit(names: Sequence[str], recordings: Sequence[Recording]) -> Trained:
         fading = damped(velocity, -1.0 / np.log(FADES), steps)
         methods["damped_085"] = PositionGaussian.fit(lambda *_: fading, some, sensor_noise(some))
     if "kinecast" in names:
-        methods |= train(["kinecast"], data, settings)
-    return Trained(methods, limits_of(data, settings), (len(data), len(some)), time.perf_counter() - started)
+        methods |= train(["kinecast"], data)
+    return Trained(methods, limits_of(data), (len(data), len(some)), time.perf_counter() - started)
 
 
 def spread(recordings: Sequence[Recording], most: int = RECORDINGS) -> list[Recording]:

@@ -33,7 +33,7 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.shapes import Box, ConstantVelocity, MovingObstacle
 from kinecast.pipeline import frames, training_windows
 from kinecast.prediction.method import Method
-from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
+from kinecast.prediction.methods import shipped_methods, train
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PostureSeries
 from kinecast.track import Track
@@ -145,8 +145,8 @@ def method_set(windows: TrainingWindows, trained: Sequence[str]) -> tuple[float,
     methods = dict(shipped)
     constrained = shipped["gp_constrained"]
     if isinstance(constrained, PostureSeries):
-        methods["gp_angles"] = constrained.with_limits(None)
-    return card.noise, {**methods, **train(trained, windows, TrainingOptions())}
+        methods["gp_angles"] = replace(constrained, limits=None)
+    return card.noise, {**methods, **train(trained, windows)}
 
 
 def surroundings(recording: Recording) -> Scene:

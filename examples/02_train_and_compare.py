@@ -15,7 +15,7 @@ from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, training_windows
-from kinecast.prediction.methods import TrainingOptions, card_of, limits_of, save_method, train
+from kinecast.prediction.methods import card_of, limits_of, save_method, train
 
 METHODS = ("zero_velocity", "damped_velocity", "ridge", "ridge_constrained")
 
@@ -29,9 +29,8 @@ def main() -> None:
     windows = WindowOptions(stride=10)  # 0.2 s seen, 0.5 s predicted, 30 Hz, three test windows a second
 
     data = training_windows(known, windows, scene)
-    options = TrainingOptions()
-    methods = train(METHODS, data, options)
-    limits = limits_of(data, options)
+    methods = train(METHODS, data)
+    limits = limits_of(data)
     print(f"trained on {len(data)} windows of {len(known)} people, tested on synthetic-3\n")
 
     # Methods that learn from the person in view are shown every frame; scores are taken at every tenth.
@@ -50,7 +49,7 @@ def main() -> None:
         path = Path(folder) / "ridge_constrained.npz"
         method = methods["ridge_constrained"]
         names = [recording.name for recording in known]
-        save_method(path, card_of("ridge_constrained", method, data, options, "", names), method)
+        save_method(path, card_of("ridge_constrained", method, data, "", names), method)
         predictor = Predictor.load(path, scene, PredictorOptions(samples=300))
         print(f"\nsaved and loaded: {path.name}, {path.stat().st_size / 1e3:.0f} kB, plain arrays and a JSON card")
     print(f"it sees {predictor.method.frames} frames and predicts {predictor.method.steps}")

@@ -18,7 +18,7 @@ from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import every_frame, training_windows
 from kinecast.prediction.gaussian import PostureGaussian
-from kinecast.prediction.methods import TrainingOptions, limits_of
+from kinecast.prediction.methods import limits_of
 from kinecast.prediction.noise import sensor_noise
 
 
@@ -61,7 +61,7 @@ def main() -> None:
     *known, unknown = generate(people, seed=1)  # one recording of each person
     windows = WindowOptions(stride=10)
     data = training_windows(known, windows, scene)
-    limits, noise = limits_of(data, TrainingOptions()), sensor_noise(data)
+    limits, noise = limits_of(data), sensor_noise(data)
 
     methods = {
         "free": PostureGaussian.fit(NearestNeighbours.fit, data, noise, None),

@@ -105,9 +105,15 @@ def frames(recording: Recording) -> Iterator[SkeletonFrame]:
         yield SkeletonFrame(float(stamp), recording.joints, positions, recording.person)
 
 
+def labelled_frames(recordings: Sequence[Recording]) -> Iterator[tuple[SkeletonFrame, str | None]]:
+    """Every frame of recordings made at the same time, one a person, with its label, by stamp."""
+    each = [zip(frames(one), one.labels or (None,) * len(one.stamps), strict=True) for one in recordings]
+    return heapq.merge(*each, key=lambda labelled: labelled[0].stamp)
+
+
 def merged_frames(recordings: Sequence[Recording]) -> Iterator[SkeletonFrame]:
-    """Every frame of recordings made at the same time, one a person, by stamp."""
-    return heapq.merge(*map(frames, recordings), key=lambda frame: frame.stamp)
+    """The same without labels."""
+    return (frame for frame, _ in labelled_frames(recordings))
 
 
 def stream(recordings: Sequence[Recording], predictor: Predictor) -> Iterator[Prediction]:

@@ -29,21 +29,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class PredictorOptions:
-    """How the online predictor works.
+    """How the online predictor works."""
 
-    Attributes:
-        samples: S, motions drawn per prediction, 1..100000.
-        seed: of the random draws; the same frames give the same predictions.
-        longest_delay: a frame older than this when it arrives is LATE [s].
-        most_persons: persons followed at once; the one not seen for longest is forgotten first.
-        forget_after: a person not seen for this long is forgotten [s].
-    """
-
-    samples: int = 1000
-    seed: int = 0
-    longest_delay: float = 0.3
-    most_persons: int = 64
-    forget_after: float = 5.0
+    samples: int = 1000  # S, motions drawn per prediction, 1..100000
+    seed: int = 0  # of the random draws; the same frames give the same predictions
+    longest_delay: float = 0.3  # a frame older than this when it arrives is LATE [s]
+    most_persons: int = 64  # persons followed at once; the one not seen for longest is forgotten first
+    forget_after: float = 5.0  # a person not seen for this long is forgotten [s]
 
     def __post_init__(self) -> None:
         if not 1 <= self.samples <= 100_000:

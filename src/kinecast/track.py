@@ -28,26 +28,19 @@ BONE_ENDS = ((0, 1), (1, 2), (3, 4), (4, 5), (0, 3))
 
 @dataclass
 class Track:
-    """One person's last frames.
+    """One person's last frames."""
 
-    Attributes:
-        dt: time between frames of the model's grid [s].
-        frames: N, frames of the model's window.
-        rng: of this person's predictions.
-        state: what the method remembers, and `state_stamp`, the stamp of its newest frame [s].
-    """
-
-    dt: float
-    frames: int
-    rng: np.random.Generator
-    stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
-    arms: deque[Float[np.ndarray, "6 3"]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
-    source: UpSource | None = None
+    dt: float  # time between frames of the model's grid [s]
+    frames: int  # N, frames of the model's window
+    rng: np.random.Generator  # of this person's predictions
+    stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))  # [s]
+    arms: deque[Float[np.ndarray, "6 3"]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))  # [m]
+    source: UpSource | None = None  # what tells the direction up the torso
     lean: float = 0.0
     up: Float[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    std: Float[np.ndarray, "6"] | None = None
-    state: Any = None
-    state_stamp: float = -np.inf
+    std: Float[np.ndarray, "6"] | None = None  # that the newest frame states [m]
+    state: Any = None  # what the method remembers
+    state_stamp: float = -np.inf  # of its newest frame [s]
 
     @property
     def span(self) -> float:
@@ -55,13 +48,9 @@ class Track:
         return self.dt * (self.frames - 1)
 
     def add(self, frame: SkeletonFrame) -> Status:
-        """Takes in a frame.
+        """Takes in a frame: OK, LATE (older than the newest, not taken in) or REPEATED (the same as the newest).
 
-        Returns:
-            OK, LATE (older than the newest, not taken in) or REPEATED (the same as the newest).
-
-        Raises:
-            ValueError: arrays whose shapes do not fit the joints' names.
+        A ValueError for arrays whose shapes do not fit the joints' names.
         """
         joints, std = len(frame.joints), None if frame.std is None else frame.std.shape
         if frame.positions.shape != (joints, 3) or std not in (None, (joints,)):

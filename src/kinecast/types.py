@@ -40,25 +40,15 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class SkeletonFrame:
-    """One person's joints at one instant, as a tracker gives them.
+    """One person's joints at one instant, as a tracker gives them."""
 
-    Attributes:
-        stamp: time of acquisition [s], on the same clock for all frames.
-        joints: canonical joint names (kinecast.body.skeleton).
-        positions: (J, 3) joint positions [m] in a z-up world; NaN where not seen.
-        person: the tracker's id of the person.
-        frame_id: name of the coordinate frame the positions are in.
-        std: (J,) standard deviation of each position [m], or None where the tracker gives none.
-        covariance: (J, 3, 3) covariance of each position [m²], or None where nobody knows more than `std`.
-    """
-
-    stamp: float
-    joints: tuple[str, ...]
-    positions: Float[np.ndarray, "J 3"]
-    person: str = "0"
-    frame_id: str = "world"
-    std: Float[np.ndarray, " J"] | None = None
-    covariance: Float[np.ndarray, "J 3 3"] | None = None
+    stamp: float  # time of acquisition [s], on the same clock for all frames
+    joints: tuple[str, ...]  # canonical joint names (kinecast.body.skeleton)
+    positions: Float[np.ndarray, "J 3"]  # [m] in a z-up world; NaN where not seen
+    person: str = "0"  # the tracker's id of the person
+    frame_id: str = "world"  # name of the coordinate frame the positions are in
+    std: Float[np.ndarray, " J"] | None = None  # standard deviation of each [m], None where the tracker gives none
+    covariance: Float[np.ndarray, "J 3 3"] | None = None  # of each [m²], None where nobody knows more than `std`
 
     @property
     def valid(self) -> Bool[np.ndarray, " J"]:
@@ -88,52 +78,32 @@ class Obstacle(Protocol):
 
 @dataclass(frozen=True)
 class Tubes:
-    """Capsules, one per step and limb (order of `LIMBS`), each holding the limb with a stated probability.
+    """Capsules, one per step and limb (order of `LIMBS`), each holding the limb with a stated probability."""
 
-    Attributes:
-        times: (T,) [s].
-        start, end: (T, 4, 3) ends of the capsule's axis [m].
-        radius: (T, 4) [m], of the limb's centre line: add the body's thickness.
-        level: the probability each capsule holds.
-    """
-
-    times: Float[np.ndarray, " T"]
-    start: Float[np.ndarray, "T 4 3"]
+    times: Float[np.ndarray, " T"]  # [s]
+    start: Float[np.ndarray, "T 4 3"]  # ends of the capsule's axis [m]
     end: Float[np.ndarray, "T 4 3"]
-    radius: Float[np.ndarray, "T 4"]
-    level: float
+    radius: Float[np.ndarray, "T 4"]  # [m], of the limb's centre line: add the body's thickness
+    level: float  # the probability each capsule holds
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Where both arms of one person will be: a distribution over each of the next steps.
+    """Where both arms of one person will be: a distribution over each of the next steps."""
 
-    Attributes:
-        stamp: acquisition time [s] of the newest frame it rests on.
-        times: (T,) the predicted instants [s], same clock.
-        samples: (S, T, 6, 3) equally likely motions [m]; joints in the order of `joints`.
-        mean: (T, 6, 3) expected positions [m].
-        covariance: (T, 6, 3, 3) covariance of each joint [m^2].
-        joints: names of the six joints.
-        person: id of the person.
-        status: how far to trust it.
-        diagnostics: accepted fraction, effective sample size, milliseconds, distance from training data, …
-        density: the exact density behind `log_prob`.
-        goals: for the "left" and the "right" hand, the probability that it heads for each goal of the scene, or for
-            "none"; empty without goals, and for methods that know none.
-    """
-
-    stamp: float
-    times: Float[np.ndarray, " T"]
-    samples: Float[np.ndarray, "S T 6 3"]
-    mean: Float[np.ndarray, "T 6 3"]
-    covariance: Float[np.ndarray, "T 6 3 3"]
-    joints: tuple[str, ...]
-    person: str = "0"
-    status: Status = Status.OK
-    diagnostics: Mapping[str, float] = field(default_factory=dict)
-    density: Density | None = None
+    stamp: float  # acquisition time [s] of the newest frame it rests on
+    times: Float[np.ndarray, " T"]  # the predicted instants [s], same clock
+    samples: Float[np.ndarray, "S T 6 3"]  # equally likely motions [m]; joints in the order of `joints`
+    mean: Float[np.ndarray, "T 6 3"]  # expected positions [m]
+    covariance: Float[np.ndarray, "T 6 3 3"]  # of each joint [m²]
+    joints: tuple[str, ...]  # names of the six joints
+    person: str = "0"  # id of the person
+    status: Status = Status.OK  # how far to trust it
+    diagnostics: Mapping[str, float] = field(default_factory=dict)  # accepted fraction, effective sample size, …
+    density: Density | None = None  # the exact density behind `log_prob`
     goals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """For the "left" and the "right" hand, the probability that it heads for each goal of the scene, or for "none";
+    empty without goals, and for methods that know none."""
 
     def without_samples(self) -> Prediction:
         """The same without samples and density, so that many can be kept."""
@@ -202,31 +172,18 @@ class Reaction(Enum):
 
 @dataclass(frozen=True)
 class Decision:
-    """What the robot does from this instant on, and why.
+    """What the robot does from this instant on, and why."""
 
-    Attributes:
-        stamp: when it was taken [s], on the clock of the frames.
-        state: what the robot does.
-        reason: why, in words.
-        target: the cube it is after, or None.
-        reaction: what it changed; None where it goes on as before.
-        speed: share of the planned speed, 0..1.
-        distance: measured distance from the arm to the nearest person [m]; inf without one.
-        separation: the distance that speed and separation monitoring asks for at this speed [m].
-        taken: per cube, the probability that the person reaches for it.
-        basis: stamp of the newest frame it rests on [s].
-    """
-
-    stamp: float
-    state: RobotState
-    reason: str
-    target: str | None = None
-    reaction: Reaction | None = None
-    speed: float = 1.0
-    distance: float = float("inf")
-    separation: float = 0.0
-    taken: Mapping[str, float] = field(default_factory=dict)
-    basis: float = float("-inf")
+    stamp: float  # when it was taken [s], on the clock of the frames
+    state: RobotState  # what the robot does
+    reason: str  # why, in words
+    target: str | None = None  # the cube it is after
+    reaction: Reaction | None = None  # what it changed; None where it goes on as before
+    speed: float = 1.0  # share of the planned speed, 0..1
+    distance: float = float("inf")  # measured from the arm to the nearest person [m]; inf without one
+    separation: float = 0.0  # the distance that speed and separation monitoring asks for at this speed [m]
+    taken: Mapping[str, float] = field(default_factory=dict)  # per cube, the probability that the person reaches for it
+    basis: float = float("-inf")  # stamp of the newest frame it rests on [s]
 
 
 @njit(cache=True, nogil=True)

@@ -20,7 +20,7 @@ from kinecast.pipeline import training_windows
 from kinecast.prediction.gaussian import PostureGaussian
 from kinecast.prediction.linear import constant_velocity
 from kinecast.prediction.method import forecast_in_scene
-from kinecast.prediction.methods import TrainingOptions, shipped_methods, train
+from kinecast.prediction.methods import shipped_methods, train
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.paper import PostureSeries
 
@@ -35,7 +35,7 @@ def fitted() -> PostureGaussian:
     """A Kalman filter trained on generated people."""
     recordings = generate(SyntheticOptions(subjects=1, recordings=2, duration=4.0), seed=1)
     windows = training_windows(recordings, WindowOptions(window=0.2, horizon=STEPS * DT))
-    method = train(["kalman_constrained"], windows, TrainingOptions())["kalman_constrained"]
+    method = train(["kalman_constrained"], windows)["kalman_constrained"]
     assert isinstance(method, PostureGaussian)
     return method
 
@@ -138,7 +138,7 @@ def test_kalman_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> Non
 @every
 def test_gp_constrained(seen: Numbers, held: Numbers, scene: Numbers) -> None:
     limits, observation = joint_limits(held), window(seen)
-    assert_nothing_violated(shipped().with_limits(limits), observation, limits, obstacles(scene, observation))
+    assert_nothing_violated(replace(shipped(), limits=limits), observation, limits, obstacles(scene, observation))
 
 
 @pytest.mark.parametrize("spread", [1e-6, 0.05, 1.0])

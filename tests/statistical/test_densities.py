@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from kinecast.body.limits import AngleLimit, JointLimits
-from kinecast.body.posture import log_det_jacobian, points_from_postures, postures_from_points
+from kinecast.body.posture import block_log_det, points_from_postures, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
 from kinecast.prediction import density as density_module
@@ -76,7 +76,7 @@ def counted(postures: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndar
         volume = np.prod(2 * half[:, list(group)], axis=1)
         log_density += np.log(inside / len(postures) / volume)
         variance += 1.0 / inside
-    return log_density - log_det_jacobian(pose), np.sqrt(variance)
+    return log_density - block_log_det(pose).sum(axis=-1), np.sqrt(variance)
 
 
 @pytest.mark.usefixtures("faultless")

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import TypeAlias, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numba import njit
 
-from kinecast.body.posture import ANGLES, LEFT_ARM, POSTURE_SIZE, RIGHT_ARM, USUAL_RANGE, Angles
+from kinecast.body.posture import ANGLES, LEFT_ARM, RIGHT_ARM, USUAL_RANGE, Angles
 from kinecast.errors import OptionError
 
 Posture: TypeAlias = Float[np.ndarray, "18"]
@@ -112,16 +111,12 @@ class JointLimits:
     def _named_angles(self) -> list[tuple[str, AngleLimit]]:
         return [(f.name, getattr(self, f.name)) for f in fields(self) if f.name != "wrist_speed"]
 
-    @cached_property
-    def _of_posture(self) -> Float[np.ndarray, "3 18"]:
-        table = [[limit.lower, limit.upper, limit.speed] for _, limit in self._named_angles()[:4]]
-        result = np.repeat([[-np.inf], [np.inf], [np.inf]], POSTURE_SIZE, axis=1)
-        result[:, list(ANGLES)] = np.tile(np.transpose(table), 2)
-        return result
-
     def of_posture(self) -> tuple[Posture, Posture, Posture]:
         """(18,) lower [rad], upper [rad], speed [rad/s] of a posture; infinite for all but the arm angles."""
-        lower, upper, speed = self._of_posture.copy()
+        lower, upper, speed = np.repeat([[-np.inf], [np.inf], [np.inf]], 18, axis=1)
+        for k, limit in enumerate((self.flexion, self.abduction, self.axial_rotation, self.elbow)):
+            for ends, value in ((lower, limit.lower), (upper, limit.upper), (speed, limit.speed)):
+                ends[[6 + k, 12 + k]] = value
         return lower, upper, speed
 
 

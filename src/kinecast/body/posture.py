@@ -35,11 +35,12 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-POSTURE_SIZE = 18
 LEFT_ARM = slice(6, 10)
 RIGHT_ARM = slice(12, 16)
 ANGLES = (6, 7, 8, 9, 12, 13, 14, 15)
 """Places of the eight arm angles in a posture."""
+AXIAL, ELBOW = [8, 14], [9, 15]
+"""Places of axial rotation and elbow flexion in a posture."""
 LENGTHS = (5, 10, 11, 16, 17)
 """Places of the lengths in a posture: shoulder width and the four bones."""
 
@@ -330,21 +331,19 @@ def points_from_postures(postures: Postures) -> Points:
     return out.reshape(*postures.shape[:-1], 6, 3)
 
 
-def to_world(postures: Postures, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> Points:
-    """R · points_from_postures(postures) + o: (…, 6, 3) arms [m] in the world, of whose torso R and o are."""
-    return np.asarray(points_from_postures(postures) @ rotation.T + origin)
+def block_log_det(postures: Postures) -> Float[np.ndarray, "*batch 3"]:
+    """(…, 3) log |∂ points / ∂ posture| of shoulders, left arm and right arm, whose sum is that of the whole posture.
 
-
-def log_det_jacobian(postures: Postures) -> Float[np.ndarray, "*batch"]:
-    """log |∂points/∂posture| = log(w² cos ρ) + Σ_arms log(L1² |cos θ2| L2² |sin θ4|).
-
-    The density of points is that of postures divided by this determinant. It is −inf at a straight elbow, a sideways
-    arm or an upright shoulder line.
+    log(w² cos ρ) and, of each arm, log(L1² |cos θ2| L2² |sin θ4|). The density of points is that of postures divided by
+    this determinant. It is zero at a straight elbow, a sideways arm or an upright shoulder line: sines and cosines are
+    kept off zero.
     """
-    lengths, cosines, sines = postures[..., list(2 * LENGTHS)], postures[..., [4, 7, 13]], postures[..., [9, 15]]
-    factors = np.concatenate([lengths, np.cos(cosines), np.sin(sines)], axis=-1)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(np.abs(factors)).sum(axis=-1))
+    lengths = [postures[..., 5], postures[..., 10] * postures[..., 11], postures[..., 16] * postures[..., 17]]
+    folds = [np.cos(postures[..., [4, 7, 13]]), np.sin(postures[..., ELBOW])]
+    cosines, sines = (np.log(np.maximum(np.abs(fold), 1e-12)) for fold in folds)
+    log_det = 2.0 * np.log(np.stack(lengths, axis=-1)) + cosines
+    log_det[..., 1:] += sines
+    return np.asarray(log_det)
 
 
 def other_branch(theta: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 4"]:
@@ -361,18 +360,14 @@ def coordinates_from_postures(postures: Postures) -> Postures:
     Returns (…, 18) the same numbers with places 8, 9 and 14, 15 replaced [rad].
     """
     coordinates = np.array(postures, dtype=np.float64)
-    for at in (8, 14):
-        theta3, theta4 = postures[..., at], postures[..., at + 1]
-        coordinates[..., at] = theta4 * np.cos(theta3)
-        coordinates[..., at + 1] = theta4 * np.sin(theta3)
+    theta3, theta4 = postures[..., AXIAL], postures[..., ELBOW]
+    coordinates[..., AXIAL], coordinates[..., ELBOW] = theta4 * np.cos(theta3), theta4 * np.sin(theta3)
     return coordinates
 
 
 def postures_from_coordinates(coordinates: Postures) -> Postures:
     """Postures (…, 18) of smooth coordinates: θ4 = |(a, b)|, θ3 = atan2(b, a) in [−π, π], 0 at a straight elbow."""
     postures = np.array(coordinates, dtype=np.float64)
-    for at in (8, 14):
-        a, b = coordinates[..., at], coordinates[..., at + 1]
-        postures[..., at] = np.arctan2(b, a)
-        postures[..., at + 1] = np.hypot(a, b)
+    a, b = coordinates[..., AXIAL], coordinates[..., ELBOW]
+    postures[..., AXIAL], postures[..., ELBOW] = np.arctan2(b, a), np.hypot(a, b)
     return postures

@@ -13,7 +13,7 @@ from enum import Enum
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from kinecast.errors import DatasetError
 from kinecast.geometry.transforms import rotation_y, transform
@@ -57,7 +57,6 @@ class Torso:
     T_world_torso: Float[np.ndarray, "*batch 4 4"]  # p_world = T_world_torso · p_torso; NaN where a shoulder is
     lean: Float[np.ndarray, "*batch"]  # forward, about the shoulder line, 0 for world up [rad]
     source: UpSource  # what up is read from
-    held: Bool[np.ndarray, "*batch"]  # True where the source was lost and the last lean is held
 
 
 def up_source(joints: Sequence[str], positions: Series) -> UpSource:
@@ -101,7 +100,7 @@ def torso_frame(
     leans = np.where(last_seen < 0, lean, seen[last_seen]) if len(seen) else seen
     T = T @ transform(rotation_y(leans), np.zeros((len(leans), 3)))
     batch = positions.shape[:-2]
-    return Torso(T.reshape(*batch, 4, 4), leans.reshape(batch), source, np.isnan(seen).reshape(batch))
+    return Torso(T.reshape(*batch, 4, 4), leans.reshape(batch), source)
 
 
 def _shoulder_frame(joints: Sequence[str], positions: Series) -> Frames:

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinecast.cameras.overlay import Picture, drawn
 from kinecast.live.publication import Publication
-from kinecast.live.sinks import Writing
+from kinecast.live.sinks import BackgroundWriter
 
 MOST_WAITING = 30  # pictures that wait for the disc; more are dropped and counted
 DELAY = 0.1  # a picture waits so long for its prediction [s]
@@ -20,7 +20,7 @@ RECENT = 0.2  # a prediction of a person who is not seen in the picture is drawn
 LONGEST = 600  # pictures by which one is repeated where a camera was silent
 
 
-class Movie(Writing[tuple[Picture, float]]):
+class Movie(BackgroundWriter[tuple[Picture, float]]):
     """Writes each picture at its own time; an unfinished file has another name, and none stays without a picture.
 
     A file that is at the path is replaced at the end.

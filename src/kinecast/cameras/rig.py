@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
-from kinecast.errors import DatasetError, OptionError
+from kinecast.errors import OptionError
 from kinecast.geometry.entries import Entry, built, read_text
 from kinecast.geometry.transforms import from_quaternion, to_quaternion, transform
 
@@ -44,10 +44,7 @@ class Rig:
             raise root.error(f"expected a name of 1 to {LONGEST_NAME} characters, found {frame_id!r}", "frame_id")
         entries = root.named_children("cameras")
         cameras = {name: built(entry, partial(_camera, name)) for name, entry in entries.items()}
-        try:
-            return cls(cameras, frame_id)
-        except OptionError as error:
-            raise DatasetError(where, str(error)) from None
+        return built(root, lambda _: cls(cameras, frame_id))
 
     def to_yaml(self) -> str:
         """The text of a rig file; reading it gives the same rig."""

@@ -8,17 +8,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from kinecast.errors import MissingExtraError, OptionError
+from kinecast.errors import OptionError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video is opened; it would print of its own
-try:
-    import cv2
-except ModuleNotFoundError as error:
-    raise MissingExtraError("a plain camera", "webcam") from error
-
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 Colour = UInt8[np.ndarray, "h w 3"]

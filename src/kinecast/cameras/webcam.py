@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -114,10 +116,8 @@ class WebcamSource:
         self._camera = PinholeCamera(name, self.intrinsics, pose)
         self._feed, self._options, self._watchers, self._handler = feed, options, watchers, handler
         self._views: dict[str, tuple[SingleView, float]] = {}
-        self._newest: tuple[float, Colour, float] | None = None
-        self._changed = threading.Condition()
+        self._newest: queue.SimpleQueue[tuple[float, Colour, float] | None] = queue.SimpleQueue()  # at most one picture
         self._stop = threading.Event()
-        self._ended = False
         self._threads = [threading.Thread(target=each, name=name, daemon=True) for each in (self._read, self._run)]
 
     def start(self) -> None:
@@ -126,8 +126,7 @@ class WebcamSource:
 
     def close(self) -> None:
         self._stop.set()
-        with self._changed:
-            self._changed.notify()
+        self._newest.put(None)
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(CLOSING)
@@ -142,9 +141,7 @@ class WebcamSource:
                 self._feed.refuse(f"{type(problem).__name__}: {problem}")
             if not self.stream.live or self._stop.wait(RETRY):
                 break
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
+        self._newest.put(None)
 
     def _read_once(self) -> None:
         begun, first = time.monotonic(), None
@@ -155,24 +152,15 @@ class WebcamSource:
                 arrived = begun + (stamp - first) / self._options.speed
                 if self._stop.wait(max(arrived - time.monotonic(), 0.0)):
                     return
-            with self._changed:
-                missed = self._newest is not None
-                self._feed.received += missed
-                self._feed.superseded += missed
-                self._newest = stamp, picture, arrived
-                self._changed.notify()
+            with suppress(queue.Empty):
+                self._newest.get_nowait()
+                self._feed.received += 1
+                self._feed.superseded += 1
+            self._newest.put((stamp, picture, arrived))
 
     def _run(self) -> None:
         looked_at = placed = 0
-        while not self._stop.is_set():
-            with self._changed:
-                if self._newest is None and not self._ended:
-                    self._changed.wait()
-                newest, self._newest = self._newest, None
-            if newest is None:
-                if self._ended:
-                    break
-                continue
+        while (newest := self._newest.get()) is not None and not self._stop.is_set():
             try:
                 placed += self._look(*newest)
             except Exception as problem:  # of MediaPipe

@@ -39,22 +39,21 @@ def download(
         for each in public_sets().values():
             print(f"{each.name}\n  {each.about}\n  licence: {each.licence}; see {each.home}")
         return
-    sets = public_sets()
-    is_model = name in sets and sets[name].model is not None
-    out = out or (cache_folder() if is_model else Path("recordings"))
+    chosen = public_sets().get(name)
+    model = chosen if chosen is not None and chosen.model is not None else None
+    out = out or (cache_folder() if model else Path("recordings"))
     check_folder(out)
-    if is_model:
-        print(f"{sets[name].about}\nlicence: {sets[name].licence}; see {sets[name].home}")
+    if model:
+        print(f"{model.about}\nlicence: {model.licence}; see {model.home}")
+    place = out if model else out / name
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
     bars = Progress(*columns, console=CONSOLE, transient=True, disable=not CONSOLE.is_terminal)
-    if is_model:
-        with _without_empty_folders(out.absolute()), bars as progress:
-            path = fetch_model(name, out, progress, url)
-        print(f"{name}: {path}")
-        return
-    with _without_empty_folders((out / name).absolute()), bars as progress:
-        files = fetch(name, out / name, progress, only, url)
-    print(f"{len(files)} file{'s' * (len(files) != 1)} in {out / name}")
+    with _without_empty_folders(place.absolute()), bars as progress:
+        found = fetch_model(name, out, progress, url) if model else fetch(name, place, progress, only, url)
+    if isinstance(found, Path):
+        print(f"{name}: {found}")
+    else:
+        print(f"{len(found)} file{'s' * (len(found) != 1)} in {place}")
 
 
 @contextmanager

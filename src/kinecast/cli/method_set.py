@@ -18,7 +18,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
 from kinecast.prediction.kinecast.model import Kinecast, ablations
 from kinecast.prediction.method import Method
-from kinecast.prediction.methods import TrainingOptions, check_names, limits_of, read_method, train
+from kinecast.prediction.methods import check_names, limits_of, read_method, train
 from kinecast.prediction.plugins import is_plugin, train_plugin
 from kinecast.tasks import Workers
 
@@ -72,12 +72,11 @@ def train_methods(
     """
     with progress_bar("cutting windows") as progress:
         data = training_windows(recordings, options, scene, progress, workers)
-    settings = TrainingOptions(seed=seed)
     methods = {name: train_plugin(name, data) for name in names if is_plugin(name)}
     with progress_bar("training") as progress:
-        methods |= train([name for name in names if name not in methods], data, settings, progress, workers)
+        methods |= train([name for name in names if name not in methods], data, seed, progress, workers)
     methods = {name: methods[name] for name in names}
-    return MethodSet(methods, limits_of(data, settings), [recording.name for recording in recordings], options)
+    return MethodSet(methods, limits_of(data), [recording.name for recording in recordings], options)
 
 
 def windows_told(told: Mapping[str, float | None], default: WindowOptions | None = None) -> WindowOptions:

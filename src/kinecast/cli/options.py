@@ -16,7 +16,7 @@ from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.methods import METHODS
 from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.tasks import Serial, Workers
+from kinecast.tasks import Serial, Workers, cluster_at
 
 _METHODS = "".join(f"\n• {name}: {about}" for name, about in METHODS.items())
 
@@ -69,8 +69,6 @@ def worker_pool(where: str | None) -> Iterator[Workers]:
     if where is None:
         yield Serial()
         return
-    from kinecast.tasks import cluster_at  # here, since clusters are an extra
-
     with cluster_at(where) as cluster:
         count = len(cluster.client.scheduler_info(n_workers=-1)["workers"])
         note(f"cluster {where}: {count} worker{'s' * (count != 1)}")

@@ -64,9 +64,7 @@ def robot(
         samples: motions drawn per prediction.
         seed: of the draws.
     """
-    from kinecast.cli.endpoint import opened, read_source  # here, since network and robot are extras
-    from kinecast.robot.ur5 import UR5
-    from kinecast.robot.ur_driver import UrDriver
+    from kinecast.robot.ur5 import UR5  # here, since the robot is an extra
 
     host, port = _address(driver)
     if dry_run == move:
@@ -81,6 +79,9 @@ def robot(
     if dry_run:
         print("nothing was written, nothing has moved")
         return
+    from kinecast.cli.endpoint import opened, read_source
+    from kinecast.robot.ur_driver import UrDriver
+
     assert source is not None
     turn = from_rotation_vector(np.array([0.0, 0.0, np.radians(base[3])]))
     with compiling():

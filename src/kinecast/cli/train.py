@@ -19,7 +19,7 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
-from kinecast.prediction.methods import TrainingOptions, card_of, check_names, save_method
+from kinecast.prediction.methods import card_of, check_names, save_method
 from kinecast.prediction.methods import train as fit
 
 
@@ -57,12 +57,11 @@ def train(
     options = WindowOptions(rate=rate, window=window, horizon=horizon, label=label)
     obstacles = None if scene is None else Scene.load(scene)
     recordings = read_recordings(paths, format)
-    settings = TrainingOptions(seed=seed)
     with worker_pool(cluster) as workers:
         with progress_bar("cutting windows") as progress:
             data = training_windows(recordings, options, obstacles, progress, workers)
         with progress_bar(f"training {method}") as progress:
-            trained = fit([method], data, settings, progress, workers)[method]
+            trained = fit([method], data, seed, progress, workers)[method]
     names = [recording.name for recording in recordings]
-    save_method(out, card_of(method, trained, data, settings, label or "", names), trained)
+    save_method(out, card_of(method, trained, data, label or "", names, seed=seed), trained)
     print(f"{out}: {method}, trained on {len(data)} windows of {len(names)} recording{'s' * (len(names) != 1)}")

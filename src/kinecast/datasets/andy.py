@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import csv
 import re
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from statistics import multimode
 
 import numpy as np
 from jaxtyping import Float
@@ -62,7 +62,7 @@ def _label_file(path: Path) -> Path | None:
 
 def _frame_labels(file: Path, stamps: Float[np.ndarray, " N"]) -> tuple[str, ...]:
     """Majority label of the window each stamp lies in."""
-    votes: dict[int, Counter[str]] = {}
+    votes: dict[int, list[str]] = {}
     text = read_bytes(file).decode("utf-8-sig", errors="replace")
     try:
         header, *lines = list(csv.reader(text.splitlines())) or [[]]
@@ -80,19 +80,14 @@ def _frame_labels(file: Path, stamps: Float[np.ndarray, " N"]) -> tuple[str, ...
             raise DatasetError(where, f"{len(cells)} columns, expected {len(header)}")
         window = _window(number(cells[0], where, "t_video"))
         given = (cells[place].strip() for place in tracks)
-        votes.setdefault(window, Counter()).update(_action(label) for label in given if label)
-    winners = {window: _majority(counter) for window, counter in votes.items()}
+        votes.setdefault(window, []).extend(_action(label) for label in given if label)
+    winners = {window: modes[0] for window, labels in votes.items() if len(modes := multimode(labels)) == 1}
     return tuple(winners.get(_window(float(stamp)), NO_MAJORITY) for stamp in stamps)
 
 
 def _window(stamp: float) -> int:
     """Index of the window a time [s] lies in; a time a rounding error short of a border counts as on it."""
     return int(np.floor(stamp / _WINDOW + 1e-6))
-
-
-def _majority(votes: Counter[str]) -> str:
-    first, *second = votes.most_common(2) or [(NO_MAJORITY, 0)]
-    return NO_MAJORITY if second and second[0][1] == first[1] else first[0]
 
 
 def _action(label: str) -> str:

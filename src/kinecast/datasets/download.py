@@ -201,7 +201,7 @@ def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], pat
 
 def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], patience: float) -> None:
     """Bytes appended to a file until all are there; gives up when connections break again and again."""
-    failures, most = 0, part.stat().st_size
+    failures = most = 0
     while part.stat().st_size != remote.size:
         problem = "connection closed"
         try:

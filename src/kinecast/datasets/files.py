@@ -17,15 +17,11 @@ from jaxtyping import Float
 
 from kinecast.errors import DatasetError
 
-STREAM_LIMIT = 2 << 30
-"""Largest decompressed size [bytes] of a file read in pieces."""
-
+STREAM_LIMIT = 2 << 30  # largest decompressed size [bytes] of a file read in pieces
 WHOLE_LIMIT = 256 << 20
 """Largest decompressed size [bytes] of a file held in memory: over an hour of nine Vicon bodies at 100 Hz."""
 
-MOST_POINTS = 20_000_000
-"""Most joint positions held of one file: an hour of 23 joints at 240 Hz."""
-
+MOST_POINTS = 20_000_000  # most joint positions held of one file: an hour of 23 joints at 240 Hz
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 _GZIP_MAGIC = b"\x1f\x8b"

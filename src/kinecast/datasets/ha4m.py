@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import AZURE_KINECT_32, HA4M_ARMS_14, HA4M_UPPER_23, Skeleton
-from kinecast.datasets.files import WHOLE_LIMIT, base_name, head, read_bytes, rows, split_lines
+from kinecast.datasets.files import base_name, head, read_bytes, rows, split_lines
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError
 from kinecast.geometry.transforms import from_camera
@@ -185,19 +185,18 @@ def _feature_labels(path: Path, frames: int) -> tuple[str, ...] | None:
 
 
 def _features(path: Path) -> tuple[Float[np.ndarray, "C T"], Skeleton]:
-    """The file's array, its header checked before anything is loaded."""
+    """The file's array, and whose joints it holds."""
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    data = io.BytesIO(head(path))
+    content = read_bytes(path)
+    data = io.BytesIO(content)
     try:
-        shape, _, dtype = readers[np.lib.format.read_magic(data)](data)
+        shape, by_column, dtype = readers[np.lib.format.read_magic(data)](data)
     except (ValueError, KeyError, EOFError, SyntaxError, TokenError) as error:
         raise DatasetError(path, f"not a NumPy array of version 1 or 2: {error}") from error
     if dtype != np.float64 or len(shape) != 2 or shape[0] not in _FEATURES:
         raise DatasetError(path, f"array of {dtype} {shape}, expected float64 (69, T) or (42, T)")
     size = data.tell() + 8 * shape[0] * shape[1]
-    if size > WHOLE_LIMIT:
-        raise DatasetError(path, f"array {shape} is larger than the limit of {WHOLE_LIMIT >> 20} MiB")
-    content = read_bytes(path)
     if len(content) != size:
         raise DatasetError(path, f"{len(content)} bytes, but an array {shape} takes {size}")
-    return np.load(io.BytesIO(content), allow_pickle=False), _FEATURES[shape[0]]
+    array = np.frombuffer(content, offset=data.tell()).reshape(shape, order="F" if by_column else "C")
+    return array, _FEATURES[shape[0]]

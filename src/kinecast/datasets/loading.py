@@ -21,9 +21,7 @@ BONE_RANGE = (0.10, 0.60)
 """Shortest and longest believable median upper arm or forearm [m]. Adults' are 0.2 to 0.4 m; between marker
 clusters, which sit beside the joints, 0.13 to 0.32 m are measured."""
 
-FARTHEST = 10_000.0
-"""Largest believable coordinate [m]; larger ones are damage."""
-
+FARTHEST = 10_000.0  # largest believable coordinate [m]; larger ones are damage
 _BONES = (*pairwise(ARM_JOINTS[:3]), *pairwise(ARM_JOINTS[3:]))
 _UNITS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
 
@@ -33,8 +31,7 @@ class Format:
     """A format of recordings."""
 
     name: str  # on the command line
-    matches: Callable[[Path], bool]
-    """Whether a file or folder is of it, by its content, plain or compressed."""
+    matches: Callable[[Path], bool]  # whether a file or folder is of it, by its content, plain or compressed
     load: Callable[[Path], list[Recording]]
     """Every recording in it; DatasetError, with file and line, where anything is not as the format has it."""
 
@@ -52,8 +49,7 @@ _FORMATS = (
 )
 """In the order they are tried: folders, then andy before the mvnx it contains."""
 
-FORMATS = tuple(sorted(each.name for each in _FORMATS))
-"""Names of the formats, as `load` takes them."""
+FORMATS = tuple(sorted(each.name for each in _FORMATS))  # names of the formats, as `load` takes them
 
 
 def load(path: str | Path, format: str | None = None) -> list[Recording]:

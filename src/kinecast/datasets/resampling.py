@@ -11,14 +11,9 @@ from jaxtyping import Float, Int
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 
-RATE_RANGE = (1.0, 1000.0)
-"""Frame rates a recording can be resampled to [Hz]."""
-
-MOST_FRAMES = 10_000_000
-"""Longest result; a stamp in the wrong unit must not fill the memory."""
-
-SAME = 1e-9
-"""Stamps this close are one [s]."""
+RATE_RANGE = (1.0, 1000.0)  # frame rates a recording can be resampled to [Hz]
+MOST_FRAMES = 10_000_000  # longest result; a stamp in the wrong unit must not fill the memory
+SAME = 1e-9  # stamps this close are one [s]
 
 Stamps: TypeAlias = Float[np.ndarray, " N"]
 Wanted: TypeAlias = Float[np.ndarray, " K"]

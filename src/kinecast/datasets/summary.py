@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -31,24 +31,12 @@ SPEED_JOINTS = tuple(joint for joint in ARM_JOINTS if "shoulder" not in joint)
 
 @dataclass(frozen=True)
 class Summary:
-    """What a recording holds; numbers are NaN where nothing was seen. Names and notes are as in the recording."""
+    """What a recording holds and how good it is; numbers are NaN where nothing was seen."""
 
-    name: str
-    source: str  # "" for generated ones
-    format: str
-    person: str
-    subject: str
-    task: str
-    frames: int
-    duration: float  # [s]
-    rate: float  # as stated [Hz]
+    recording: Recording
     measured_rate: float  # one over the median step of the stamps [Hz]
     longest_step: float  # between two frames [s]
-    joint_names: tuple[str, ...]
-    labels: Mapping[str, int]
-    """Frames per label, most frequent first."""
-    repeated_frames: int
-    """Copies of the frame before."""
+    repeated_frames: int  # copies of the frame before
     joints: Mapping[str, Mapping[str, float]]
     """Per joint `missing` (share of frames without it), `gaps` (how often it is lost), `longest_gap` [s], `jumps` (how
     often it is thrown aside and comes back), and the frames that a repair would have `interpolated`, repeats included,
@@ -58,26 +46,36 @@ class Summary:
     share of it."""
     speeds: Mapping[str, Mapping[str, float]]
     """Of elbows and wrists over one frame, repeats and jumps left out: `p50`, `p99`, `max` [m/s]."""
-    outside_range: float
-    """Share of frames, after a repair, with an arm angle outside `JointLimits`."""
-    too_fast: float
-    """Share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow."""
-    notes: tuple[str, ...]
+    outside_range: float  # share of frames, after a repair, with an arm angle outside `JointLimits`
+    too_fast: float  # share of frames, after a repair, with an arm angle moving faster than `JointLimits` allow
+
+    @property
+    def labels(self) -> dict[str, int]:
+        """Frames per label, most frequent first."""
+        return dict(Counter(self.recording.labels or ()).most_common())
 
     def as_json(self) -> dict[str, object]:
         """Plain dicts, lists and numbers; None for NaN."""
-        plain: dict[str, object] = json.loads(json.dumps(asdict(self)), parse_constant=lambda _: None)
+        r, measured = self.recording, vars(self).copy()
+        del measured["recording"]
+        about = {
+            "name": r.name, "source": str(r.source or ""), "format": r.format, "person": r.person, "subject": r.subject,
+            "task": r.task, "frames": len(r.stamps), "duration": r.duration, "rate": r.rate, "joint_names": r.joints,
+            "labels": self.labels, "notes": r.notes,
+        }  # fmt: skip
+        plain: dict[str, object] = json.loads(json.dumps(about | measured), parse_constant=lambda _: None)
         return plain
 
     def lines(self) -> list[str]:
         """The summary in words, one fact a line."""
-        person = f", person {self.person}" if self.person not in ("", "0") else ""
+        r, frames = self.recording, len(self.recording.stamps)
+        person = f", person {r.person}" if r.person not in ("", "0") else ""
         measured = f"measured {self.measured_rate:.4g} Hz, longest step {1e3 * self.longest_step:.0f} ms"
-        length = f"{self.frames} frames, {self.duration:.1f} s at {self.rate:g} Hz ({measured})"
-        facts = [f"{len(self.joint_names)} joints: {', '.join(self.joint_names)}"]
+        length = f"{frames} frames, {r.duration:.1f} s at {r.rate:g} Hz ({measured})"
+        facts = [f"{len(r.joints)} joints: {', '.join(r.joints)}"]
         if self.labels:
             facts.append("labels: " + ", ".join(f"{label} ({count})" for label, count in self.labels.items()))
-        facts.append(f"repeated frames: {self.repeated_frames} ({self.repeated_frames / self.frames:.1%})")
+        facts.append(f"repeated frames: {self.repeated_frames} ({self.repeated_frames / frames:.1%})")
         for name, joint in self.joints.items():
             if joint["gaps"]:
                 gaps = f"gaps: {joint['gaps']}, longest {joint['longest_gap']:.2f} s"
@@ -94,11 +92,11 @@ class Summary:
         facts.append(f"after repair {outside}, {self.too_fast:.1%} above their speed")
         interpolated = sum(joint["interpolated"] for joint in self.joints.values())
         left = sum(joint["left_missing"] for joint in self.joints.values())
-        values = self.frames * len(self.joints)
+        values = frames * len(self.joints)
         positions = f"{interpolated} of {values} positions ({interpolated / values:.1%})"
         facts.append(f"repair would interpolate {positions} and leave {left} missing ({left / values:.1%})")
-        facts += [f"note: {note}" for note in self.notes]
-        return [f"{self.name}: {self.format}{person}, {length}", *(f"  {fact}" for fact in facts)]
+        facts += [f"note: {note}" for note in r.notes]
+        return [f"{r.name}: {r.format}{person}, {length}", *(f"  {fact}" for fact in facts)]
 
 
 def summarise(recording: Recording) -> Summary:
@@ -106,26 +104,15 @@ def summarise(recording: Recording) -> Summary:
     repaired, report = repair(recording)
     outside_range, too_fast = _outside_limits(repaired)
     return Summary(
-        name=recording.name,
-        source="" if recording.source is None else str(recording.source),
-        format=recording.format,
-        person=recording.person,
-        subject=recording.subject,
-        task=recording.task,
-        frames=len(recording.stamps),
-        duration=recording.duration,
-        rate=recording.rate,
+        recording,
         measured_rate=measured_rate(recording.stamps),
         longest_step=float(np.diff(recording.stamps).max(initial=0.0)),
-        joint_names=recording.joints,
-        labels=dict(Counter(recording.labels or ()).most_common()),
         repeated_frames=int(np.count_nonzero((report.flaws == Flaw.REPEATED).any(axis=1))),
         joints={name: _joint(recording, report, column) for column, name in enumerate(recording.joints)},
         bones={name: _bone(recording.joint(a) - recording.joint(b)) for name, (a, b) in BONES.items()},
         speeds={name: _speed(recording, report, name) for name in SPEED_JOINTS if name in recording.joints},
         outside_range=outside_range,
         too_fast=too_fast,
-        notes=recording.notes,
     )
 
 

@@ -40,8 +40,7 @@ _CHUNK = 1 << 16  # rows written at a time
 class Words:
     """A column of words, most of them repeated. csv knows no empty words, only missing ones."""
 
-    names: tuple[str, ...]
-    """The different words."""
+    names: tuple[str, ...]  # the different words
     codes: Int[np.ndarray, " R"]
     """(R,) place in `names` of each row's word; −1 where it is missing."""
 

@@ -20,27 +20,19 @@ from kinecast.datasets.resampling import check_rate, resample
 from kinecast.errors import DatasetError, OptionError
 from kinecast.tasks import Progress, Serial, Workers
 
-LONGEST = 10.0
-"""Longest window or horizon [s]."""
-
-MOST_FRAMES = 300
-"""Most frames in either: the joint Gaussian of 300 steps already has 5400 coordinates."""
+LONGEST = 10.0  # longest window or horizon [s]
+MOST_FRAMES = 300  # most frames in either: the joint Gaussian of 300 steps already has 5400 coordinates
 
 
 @dataclass(frozen=True)
 class WindowOptions:
     """Which windows are cut; OptionError for a value out of its range."""
 
-    rate: float = 30.0
-    """Frames per second [Hz]."""
-    window: float = 0.2
-    """Length of what is observed [s]."""
-    horizon: float = 0.5
-    """Length of what is to be predicted [s]."""
-    stride: int = 5
-    """Frames from one window to the next."""
-    label: str | None = None
-    """Only windows whose last observed frame has this label; None for all."""
+    rate: float = 30.0  # frames per second [Hz]
+    window: float = 0.2  # length of what is observed [s]
+    horizon: float = 0.5  # length of what is to be predicted [s]
+    stride: int = 5  # frames from one window to the next
+    label: str | None = None  # only windows whose last observed frame has this label; None for all
     whole: bool = True
     """Only windows in which every arm joint is there in every frame, before and after. Otherwise gaps in what is
     observed are repaired, and in what came next they are NaN."""

@@ -1,6 +1,7 @@
 """Scores of one prediction against what happened: pure functions on arrays, one value per step and joint.
 
-Nothing is averaged here, so that the caller can average over windows, recordings or moving frames.
+Nothing is averaged here, so that the caller can average over windows, recordings or moving frames. Throughout,
+`samples` (S, T, J, 3) are predicted positions and `truth` (T, J, 3) what came [m].
 
 Missing values, for every score: a joint whose truth has a NaN is not scored and its value is NaN (`regions` returns
 booleans: read them through `scored`). Samples are finite; one that is not makes the score of its step and joint NaN,
@@ -68,13 +69,7 @@ def crps(samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J 3"
 
     The fair (unbiased) estimator: the second mean is over pairs of different samples, from the sorted samples
     Σ_{i<j} |x_i − x_j| = Σ_i (2 i − n + 1) x_(i). One sample alone scores its absolute error.
-
-    Args:
-        samples: (S, T, J, 3) predicted positions [m].
-        truth: (T, J, 3) positions that came [m].
-
-    Returns:
-        (T, J, 3) scores [m], smaller is better.
+    Returns (T, J, 3) scores [m], smaller is better.
     """
     away = np.sort(_cells(samples), axis=-1) - truth.reshape(-1, 3, 1)
     count = away.shape[-1]
@@ -89,13 +84,7 @@ def energy_score(samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray,
     Unbiased: the second mean is over nearly 16 S pairs of different samples (all pairs where S ≤ 17) instead
     of all ½ S (S − 1). The pairs come from shifts of a fixed shuffle, so an ordered or antithetic sample set
     does no harm and the same samples always score the same. One sample alone scores its distance.
-
-    Args:
-        samples: (S, T, J, 3) predicted positions [m].
-        truth: (T, J, 3) positions that came [m].
-
-    Returns:
-        (T, J) scores [m], smaller is better.
+    Returns (T, J) scores [m], smaller is better.
     """
     cells = _cells(samples[np.random.default_rng(0).permutation(len(samples))])
     away = np.linalg.norm(cells - truth.reshape(-1, 3, 1), axis=1).mean(axis=-1)
@@ -108,13 +97,7 @@ def kde_nll(samples: Float[np.ndarray, "S T J 3"], truth: Float[np.ndarray, "T J
 
     The estimate is scipy.stats.gaussian_kde with Scott's bandwidth: kernel covariance = n^(−2/7) Σ. Standard
     deviations of Σ under 0.1 mm count as 0.1 mm, so that samples without spread have a density too.
-
-    Args:
-        samples: (S, T, J, 3) predicted positions [m].
-        truth: (T, J, 3) positions that came [m].
-
-    Returns:
-        (T, J) negative log densities, log of 1/m^3, smaller is better.
+    Returns (T, J) negative log densities, log of 1/m^3, smaller is better.
     """
     cells = _cells(samples)
     _, whitening, log_det = _ellipsoids(cells)
@@ -134,10 +117,6 @@ def regions(
     The ellipsoid of a joint and step has the samples' mean and covariance, and is scaled through the
     ⌈level (S + 1)⌉-th nearest sample (the farthest at most): the rank that one more draw falls below with
     that probability.
-
-    Args:
-        samples: (S, T, J, 3) predicted positions [m].
-        truth: (T, J, 3) positions that came [m].
 
     Returns:
         (L, T, J) whether the truth is inside, False where it is missing (mask with `scored`);

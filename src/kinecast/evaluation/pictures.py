@@ -211,8 +211,7 @@ def _pixels(figure: Figure) -> Image.Image:
     stream = io.BytesIO()
     figure.savefig(stream, format="rgba", dpi=figure.dpi)
     width, height = (round(side) for side in figure.bbox.size)
-    rgba = np.frombuffer(stream.getvalue(), np.uint8).reshape(height, width, 4)
-    return Image.fromarray(np.ascontiguousarray(rgba[..., :3]))
+    return Image.frombytes("RGBA", (width, height), stream.getvalue()).convert("RGB")
 
 
 def _fit(pages: Sequence[Axes], cameras: Sequence[Camera], around: Float[np.ndarray, "K 3"]) -> None:
@@ -282,12 +281,12 @@ def _samples(axes: Axes, camera: Camera, moment: Moment, scale: float, most: int
 
 def _mean(axes: Axes, camera: Camera, moment: Moment, scale: float) -> None:
     """Wrist paths of the mean, and its arms at their end."""
-    steps = len(moment.mean)
+    colours = AHEAD(np.linspace(0, 1, len(moment.mean)))
     for wrist in WRISTS:
         path = camera.page(_from_now(moment, moment.mean, wrist))
-        pieces = list(np.stack([path[:-1], path[1:]], axis=1))
         axes.plot(*path.T, color="white", lw=5 * scale, alpha=0.8, zorder=5)
-        axes.add_collection(LineCollection(pieces, colors=AHEAD(np.linspace(0, 1, steps)), lw=2.6 * scale, zorder=5))
+        pieces = list(np.stack([path[:-1], path[1:]], axis=1))
+        axes.add_collection(LineCollection(pieces, colors=colours, lw=2.6 * scale, zorder=5))
     _arms(axes, camera, moment.mean[-1], AHEAD(1.0), 3.0 * scale, halo=True, zorder=5)
 
 

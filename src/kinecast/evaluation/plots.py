@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -45,35 +46,8 @@ GREY, GOLD, GREEN, PINK, ORANGE, RED, SKY, BLUE, VIOLET = (
 LEAST_SPREAD = 0.01
 """Half the width of a histogram of values that hardly differ [nats]: a method without randomness repeats itself."""
 
-STYLE: dict[Any, Any] = {
-    "font.family": ["DejaVu Sans"],  # comes with matplotlib, so pictures are the same everywhere
-    "font.size": 9.5,
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "axes.titlepad": 10.0,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.major.width": 0.8,
-    "ytick.major.width": 0.8,
-    "grid.color": MUTED,
-    "grid.alpha": 0.25,
-    "grid.linewidth": 0.7,
-    "lines.solid_capstyle": "round",
-    "lines.dash_capstyle": "round",
-    "text.parse_math": False,  # names of files are no formulas
-    "svg.fonttype": "none",
-    "svg.hashsalt": "kinecast",
-    "savefig.dpi": 160,
-}
+with resources.as_file(resources.files("kinecast") / "data" / "plots.mplstyle") as _path:
+    STYLE: dict[Any, Any] = mpl.rc_params_from_file(_path, use_default_template=False)
 
 UNKNOWN = "–"
 """Shown for a value that is missing or not finite."""
@@ -117,16 +91,29 @@ def method_style(name: str) -> MethodStyle:
     return SPARE[zlib.crc32(name.encode()) % len(SPARE)]
 
 
-def plot_error_by_horizon(errors_mm: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Figure:
-    """MPJPE [mm] over the time ahead, a line per method; without the horizon [s] the axis counts steps."""
-    errors = {name: _floats(steps) for name, steps in errors_mm.items()}
-    return _over_horizon(errors, horizon, "Mean joint error over the horizon [mm]")
+def plot_over_horizon(
+    values: Mapping[str, Sequence[float | None]], horizon: float | None, title: str, should_be: float | None = None
+) -> Figure:
+    """A line per method over the time ahead, None where unknown, and one where the values should be.
 
-
-def plot_coverage_by_horizon(coverage: Mapping[str, Sequence[float | None]], horizon: float | None = None) -> Figure:
-    """Share of true positions inside the 90 % region over the time ahead, a line per method."""
-    shares = {name: 100 * _floats(steps) for name, steps in coverage.items()}
-    return _over_horizon(shares, horizon, "Inside the 90 % region over the horizon [%]", should_be=90.0)
+    Without the horizon [s] the axis counts steps.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+        axes = figure.subplots()
+        for name, heights in values.items():
+            ahead = np.arange(1, len(heights) + 1) * (1.0 if horizon is None else horizon / len(heights))
+            _line(axes, name, ahead, _floats(heights))
+        if should_be is None:
+            axes.set_ylim(bottom=0)
+        else:
+            axes.axhline(should_be, color=MUTED, lw=1, zorder=0)
+        axes.set_xlim(left=0)
+        axes.set_title(title)
+        axes.set_xlabel("steps ahead" if horizon is None else "time ahead [s]")
+        axes.grid(axis="y")
+        _legend(axes)
+    return figure
 
 
 def plot_nll_histograms(
@@ -166,31 +153,21 @@ def plot_nll_histograms(
 def plot_coverage(coverage: Mapping[str, Mapping[str, float | None]]) -> Figure:
     """Share of truths inside the region that should hold it, against that nominal share, e.g. `{"0.9": 0.87}`."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(5.6, 4.6), layout="constrained")
+        figure = Figure(figsize=(7.2, 4.6), layout="constrained")
         axes = figure.subplots()
         axes.plot([0.5, 1], [0.5, 1], color=MUTED, lw=1)
         axes.text(0.03, 0.97, "too cautious", color=MUTED, va="top")
         axes.text(0.97, 0.03, "too sure of itself", color=MUTED, ha="right")
-        ends = {}
         for name, shares in coverage.items():
-            nominal = np.array(sorted(float(level) for level in shares))
-            observed = _floats([shares[level] for level in sorted(shares, key=float)])
-            known = np.isfinite(observed)
-            if not known.any():
-                continue
-            style = method_style(name)
-            axes.plot(
-                nominal[known], observed[known], style.marker, ls="-", ms=5,
-                color=style.colour, lw=style.width, dashes=style.dashes or (None, None),
-            )  # fmt: skip
-            ends[name] = (nominal[known][0], observed[known][0])
+            levels = sorted(shares, key=float)
+            _line(axes, name, np.array(levels, float), _floats([shares[level] for level in levels]))
         axes.set_xlim(0, 1)
         axes.set_ylim(0, 1)
         axes.set_aspect("equal")
         axes.set_xlabel("share the region should hold")
         axes.set_title("Share of true positions inside")
         axes.grid()
-        _label_lines(axes, ends, at=0.38, height=3.9)
+        _legend(axes)
     return figure
 
 
@@ -270,36 +247,20 @@ def _letters() -> frozenset[int]:
     return frozenset(get_font(findfont(STYLE["font.family"][0])).get_charmap())
 
 
-def _over_horizon(
-    values: Mapping[str, Float[np.ndarray, " T"]],
-    horizon: float | None,
-    title: str,
-    should_be: float | None = None,
-) -> Figure:
-    """A line per method over the time ahead, and one where the values should be."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 4.2), layout="constrained")
-        axes = figure.subplots()
-        ends = {}
-        for name, heights in values.items():
-            if not np.isfinite(heights).any():
-                continue
-            ahead = np.arange(1, len(heights) + 1) * (1.0 if horizon is None else horizon / len(heights))
-            style = method_style(name)
-            axes.plot(ahead, heights, color=style.colour, lw=style.width, dashes=style.dashes or (None, None))
-            last = np.flatnonzero(np.isfinite(heights))[-1]
-            axes.plot(ahead[last], heights[last], style.marker, color=style.colour, ms=5)
-            ends[name] = (ahead[last], heights[last])
-        if should_be is None:
-            axes.set_ylim(bottom=0)
-        else:
-            axes.axhline(should_be, color=MUTED, lw=1, zorder=0)
-        axes.set_xlim(left=0)
-        axes.set_title(title)
-        axes.set_xlabel("steps ahead" if horizon is None else "time ahead [s]")
-        axes.grid(axis="y")
-        _label_lines(axes, ends, at=1.03, height=3.3)
-    return figure
+def _line(axes: Axes, name: str, x: Float[np.ndarray, " K"], y: Float[np.ndarray, " K"]) -> None:
+    """One method's line through the values that are known."""
+    known, style = np.isfinite(y), method_style(name)
+    if known.any():
+        axes.plot(
+            x[known], y[known], style.marker, ls="-", ms=5, color=style.colour, lw=style.width,
+            dashes=style.dashes or (None, None), label=drawable(name),
+        )  # fmt: skip
+
+
+def _legend(axes: Axes) -> None:
+    """Names of lines, beside the axes."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, labelcolor="linecolor")
 
 
 def _floats(values: Sequence[float | None]) -> Float[np.ndarray, " K"]:
@@ -332,30 +293,3 @@ def _histogram_rows(axes: Axes, rows: Mapping[str, Float[np.ndarray, "..."]]) ->
     axes.spines["left"].set_visible(False)
     axes.set_title("Spread [nats], log counts")
     axes.grid(axis="x")
-
-
-def _label_lines(axes: Axes, ends: Mapping[str, tuple[float, float]], at: float, height: float) -> None:
-    """Name each line near its end, moved up or down just enough that names do not overlap.
-
-    Names are at `at` widths of the axes, `height` inches high: right of the points, or left of them if below 0.5.
-    """
-    low, high = axes.get_ylim()
-    gap = (high - low) * 13.0 / (72 * height)
-    order = sorted(ends, key=lambda name: ends[name][1])
-    places = np.array([ends[name][1] for name in order])
-    for _ in range(500):  # neighbours push each other apart until none is too near
-        push = np.maximum(gap - np.diff(places), 0) / 2
-        if not np.any(push > 1e-3 * gap):
-            break
-        places[:-1] -= push
-        places[1:] += push
-    places += min(0.0, high - places.max(initial=low)) + max(0.0, low - places.min(initial=high))
-    right = at >= 0.5
-    for name, place in zip(order, places, strict=True):
-        colour = method_style(name).colour
-        axes.annotate(
-            drawable(name), ends[name], (at, place), textcoords=axes.get_yaxis_transform(), color=colour,
-            va="center", ha="left" if right else "right", annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6, "alpha": 0.7,
-                        "relpos": (0 if right else 1, 0.5), "shrinkA": 0, "shrinkB": 4},
-        )  # fmt: skip

@@ -1,7 +1,7 @@
 """What an evaluation leaves: metrics.json, pictures, a table for the terminal, and one HTML page with all of it.
 
 Everything that comes from outside (names of methods and recordings, settings) is escaped by the page's template,
-data/report.html. A value that is missing, null or not finite is a dash.
+data/report.html. A value that is null or not finite is a dash.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from importlib import resources
+from operator import getitem
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -35,9 +37,8 @@ from kinecast.evaluation.plots import (
     number,
     percent,
     plot_coverage,
-    plot_coverage_by_horizon,
-    plot_error_by_horizon,
     plot_nll_histograms,
+    plot_over_horizon,
     plot_violations,
 )
 from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
@@ -142,7 +143,7 @@ def write_report(
     """Write `report.html`, a page that shows everything and needs no other file.
 
     Args:
-        metrics: as in metrics.json; any value may be missing or None.
+        metrics: as in metrics.json; any number may be None.
         histograms: NLL per repeat or window, by method.
         folder: for the page; made where missing.
         pictures: PNG and GIF files to show, inlined; their names are the captions.
@@ -154,23 +155,24 @@ def write_report(
         OptionError: a picture that is neither PNG nor GIF.
         OSError: a picture cannot be read or the page not written; then there is no page.
     """
-    methods, settings = _mapping(metrics, "methods"), _mapping(metrics, "settings")
-    names = list(dict.fromkeys(name for each in methods.values() for name in _mapping(each, "recordings")))
-    first: Metrics = next(iter(methods.values()), {})
-    counts = [_value(first, "recordings", name, "windows") for name in names]
-    horizon = settings.get("horizon")
-    horizon = float(horizon) if known(horizon) and horizon > 0 else None
-    data = resources.files("kinecast") / "data"
+    methods, first = metrics["methods"], next(iter(metrics["methods"].values()))
+    errors = {
+        recording: [each["recordings"][recording]["mpjpe_mm"] for each in methods.values()]
+        for recording in first["recordings"]
+    }
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"number": number, "percent": percent, "setting": _setting}
+    environment.globals |= {"style_of": method_style, "scores": SCORES, "levels": LEVELS, "limits": LIMITS}
+    data = resources.files("kinecast") / "data"
     page = environment.from_string((data / "report.html").read_text("utf-8")).render(
         style=(data / "report.css").read_text("utf-8"),
+        metrics=metrics,
         methods=methods,
-        recordings=names,
-        windows=sum(count for count in counts if isinstance(count, int)),
-        horizon=number(horizon, 2) if horizon else "",
+        recordings=first["recordings"],
+        best={score: _best(score, methods) for score in SCORES},
+        least={recording: min(filter(known, each), default=None) for recording, each in errors.items()},
         pictures=[_inlined(path) for path in pictures],
-        charts=_charts(metrics, methods, histograms, horizon),
-        tables=_tables(metrics, methods, names) | {"settings": _settings_table(settings)},
+        charts=_charts(metrics, histograms),
     )
     path = folder / "report.html"
     write_atomically(path, page.encode())
@@ -185,29 +187,37 @@ def _inlined(path: Path) -> tuple[str, str]:
     return path.stem.replace("_", " "), f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
-def _charts(
-    metrics: Metrics, methods: Metrics, histograms: Mapping[str, Float[np.ndarray, "..."]], horizon: float | None
-) -> dict[str, str]:
+def _charts(metrics: Metrics, histograms: Mapping[str, Float[np.ndarray, "..."]]) -> dict[str, str]:
     """Charts as SVG elements."""
+    methods, horizon = metrics["methods"], metrics["settings"]["horizon"]
 
-    def of(*path: str, empty: Any = None) -> dict[str, Any]:
-        return {name: _value(each, *path) or empty for name, each in methods.items()}
+    def of(key: str) -> dict[str, Any]:
+        return {name: each[key] for name, each in methods.items()}
 
-    errors = plot_error_by_horizon(of("mpjpe_mm_by_step", empty=[]), horizon)
-    nll = plot_nll_histograms(histograms, {name: each.get("nll_stderr") for name, each in methods.items()})
-    coverage = plot_coverage(of("coverage", empty={}))
-    by_step = plot_coverage_by_horizon(of("coverage_by_step", "0.9", empty=[]), horizon)
-    violations = plot_violations(of("violations", empty={}), _mapping(metrics, "ground_truth_violations"))
-    return {
-        "errors": figure_svg(errors, "Mean joint error against time ahead, by method"),
-        "nll": figure_svg(nll, "Mean negative log likelihood and its histogram, by method"),
-        "coverage": figure_svg(coverage, "Observed against nominal coverage, by method"),
-        "coverage_by_step": figure_svg(by_step, "Coverage at 90 % against time ahead, by method"),
-        "violations": figure_svg(violations, "Share of steps outside limits, by method and as measured"),
+    by_step = {
+        name: [100 * share if known(share) else None for share in shares["0.9"]]
+        for name, shares in of("coverage_by_step").items()
     }
-
-
-# Tables
+    figures = {
+        "errors": (
+            plot_over_horizon(of("mpjpe_mm_by_step"), horizon, "Mean joint error over the horizon [mm]"),
+            "Mean joint error against time ahead, by method",
+        ),
+        "nll": (
+            plot_nll_histograms(histograms, of("nll_stderr")),
+            "Mean negative log likelihood and its histogram, by method",
+        ),
+        "coverage": (plot_coverage(of("coverage")), "Observed against nominal coverage, by method"),
+        "coverage_by_step": (
+            plot_over_horizon(by_step, horizon, "Inside the 90 % region over the horizon [%]", should_be=90.0),
+            "Coverage at 90 % against time ahead, by method",
+        ),
+        "violations": (
+            plot_violations(of("violations"), metrics["ground_truth_violations"]),
+            "Share of steps outside limits, by method and as measured",
+        ),
+    }
+    return {name: figure_svg(figure, title) for name, (figure, title) in figures.items()}
 
 
 @dataclass(frozen=True)
@@ -235,7 +245,7 @@ class Score:
 
     def of(self, method: Metrics) -> float | None:
         """A method's value as it is shown."""
-        value = _value(method, *self.path)
+        value = reduce(getitem, self.path, method)
         return round(self.times * value, self.digits) if known(value) else None
 
     def text(self, method: Metrics) -> tuple[str, str]:
@@ -261,19 +271,6 @@ SCORES = (
 )
 
 
-class Cell(NamedTuple):
-    """What a cell of the page's tables says; `small` beside it, `colour` of the dot before it."""
-
-    text: str
-    small: str = ""
-    best: bool = False
-    colour: str = ""
-
-
-Table = tuple[list[Cell], list[list[Cell]]]
-"""Heads and rows; the first cell of a row names it."""
-
-
 def format_table(metrics: Metrics) -> str:
     """The main table as plain text for a terminal, 100 columns or so wide."""
     table = TerminalTable(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -281,63 +278,11 @@ def format_table(metrics: Metrics) -> str:
     columns = [score for score in SCORES if score.terminal]
     for score in columns:
         table.add_column(Text(f"{score.title}\n{score.unit}"), justify="right", no_wrap=True)
-    for name, each in _mapping(metrics, "methods").items():
+    for name, each in metrics["methods"].items():
         table.add_row(Text(name), *[Text(" ".join(score.text(each)).rstrip()) for score in columns])
     stream = io.StringIO()
     Console(file=stream, width=200, color_system=None, legacy_windows=False).print(table)
     return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
-
-
-def _tables(metrics: Metrics, methods: Metrics, recordings: Sequence[str]) -> dict[str, Table]:
-    """The page's tables of scores."""
-    best = {score: _best(score, methods) for score in SCORES}
-    moving = (SCORES[0], SCORES[5], SCORES[3])
-    measured = _mapping(metrics, "ground_truth_violations")
-    main, coverage, on_the_move = [], [], []
-    limits = [[Cell("measured"), *(Cell(percent(measured.get(kind), 2)) for kind in LIMITS)]]
-    for name, each in methods.items():
-        first = Cell(name, colour=method_style(name).colour)
-        main.append([first, *(Cell(*score.text(each), name in best[score]) for score in SCORES)])
-        coverage.append([first, *(Cell(percent(_value(each, "coverage", str(level)))) for level in LEVELS)])
-        limits.append([first, *(Cell(percent(_value(each, "violations", kind), 2)) for kind in LIMITS)])
-        on_the_move.append([first, *(Cell(number(_value(each, "moving", *s.path), s.digits)) for s in moving)])
-    names = [Cell(name) for name in methods]
-    return {
-        "main": ([Cell("method"), *(Cell(score.title, score.unit) for score in SCORES)], main),
-        "coverage": ([Cell("inside [%]"), *(Cell(f"{100 * level:g} %") for level in LEVELS)], coverage),
-        "limits": ([*map(Cell, ("steps [%]", "outside joint range", "too fast", "in an obstacle"))], limits),
-        "moving": ([Cell("method"), *(Cell(score.title, score.unit) for score in moving)], on_the_move),
-        "recordings": (
-            [Cell("recording"), Cell("windows"), *names],
-            [_errors_row(methods, name) for name in recordings],
-        ),
-        "recordings_scores": (
-            [Cell("recording"), *names],
-            [[Cell(name), *(_scores_of(each, name) for each in methods.values())] for name in recordings],
-        ),
-    }
-
-
-def _errors_row(methods: Metrics, recording: str) -> list[Cell]:
-    """How many windows a recording has, and the error of each method."""
-    errors = [_value(each, "recordings", recording, "mpjpe_mm") for each in methods.values()]
-    least = min((value for value in errors if known(value)), default=None)
-    windows = _value(next(iter(methods.values())), "recordings", recording, "windows")
-    cells = [Cell(number(value, 1), best=known(value) and value == least) for value in errors]
-    return [Cell(recording), Cell(number(windows, 0)), *cells]
-
-
-def _scores_of(method: Metrics, recording: str) -> Cell:
-    """CRPS, NLL and coverage of a method on a recording."""
-    entry = _mapping(method, "recordings", recording)
-    covered = percent(_value(entry, "coverage", "0.9"))
-    return Cell(number(entry.get("crps_mm"), 1), f"· {number(entry.get('nll'), 2)} · {covered}")
-
-
-def _settings_table(settings: Metrics) -> Table:
-    return [Cell("setting"), Cell("value")], [
-        [Cell(str(key)), Cell(_setting(value))] for key, value in settings.items()
-    ]
 
 
 def _setting(value: object) -> str:
@@ -358,17 +303,3 @@ def _best(score: Score, methods: Metrics) -> list[str]:
     if len(set(away.values())) < 2:
         return []
     return [name for name, value in away.items() if value == min(away.values())]
-
-
-def _value(metrics: Metrics, *path: str) -> Any:
-    """What a path of keys leads to; None where something on the way is missing."""
-    found: Any = metrics
-    for key in path:
-        found = found.get(key) if isinstance(found, Mapping) else None
-    return found
-
-
-def _mapping(metrics: Metrics, *path: str) -> Metrics:
-    """The mapping a path of keys leads to, empty where it is missing or null."""
-    found = _value(metrics, *path)
-    return found if isinstance(found, Mapping) else {}

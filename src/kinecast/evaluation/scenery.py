@@ -29,6 +29,11 @@ PATCH = 0.85
 THICKNESS = 0.03
 """The patch is drawn as a slab as thick as this [m]."""
 
+SPHERE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 12)] * 3), axis=-1).reshape(-1, 3)
+SPHERE = SPHERE[np.abs(SPHERE).max(axis=1) == 1.0]
+SPHERE = SPHERE / np.linalg.norm(SPHERE, axis=1, keepdims=True)
+"""Unit vectors all around: the points of a cube's faces."""
+
 NEAR = 0.6
 """Planes farther than this from everything shown are not drawn [m]: the floor under a seated person."""
 
@@ -126,7 +131,7 @@ def _solid(axes: Axes, camera: Camera, row: Float[np.ndarray, " 17"], ghost: boo
         return
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     corners = centre + signs * half @ rotation.T
-    surface = (corners[:, None] + radius * _directions(200)).reshape(-1, 3)
+    surface = (corners[:, None] + radius * SPHERE).reshape(-1, 3)
     flat = camera.page(surface)
     try:
         outline = flat[ConvexHull(flat).vertices]
@@ -140,12 +145,3 @@ def _polygon(corners: Float[np.ndarray, "K 2"], light: float, ghost: bool = Fals
     if ghost:
         return Polygon(corners, fill=False, ec=EDGE, lw=1.0, ls=(0, (2, 2)), zorder=1.2)
     return Polygon(corners, fc=light * np.array(to_rgb(OBSTACLE)), ec=EDGE, lw=0.8, joinstyle="round", zorder=1)
-
-
-def _directions(count: int) -> Float[np.ndarray, "K 3"]:
-    """Evenly spread unit vectors: a Fibonacci sphere."""
-    index = np.arange(count) + 0.5
-    height = 1.0 - 2.0 * index / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * index
-    around = np.sqrt(1.0 - height**2)
-    return np.stack([around * np.cos(turn), around * np.sin(turn), height], axis=-1)

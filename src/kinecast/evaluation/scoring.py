@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,9 @@ NLL_JOINTS = 6
 """NLL is reported per joint: the log density of the whole pose, six joints in m^18, divided by six."""
 
 LIMITS = ("position", "speed", "scene")
+
+Scores = dict[str, Any]
+"""Of one window, by name."""
 
 BOOTSTRAP_BLOCK = 5.0
 """Windows within this time of one another [s] are drawn together for standard errors."""
@@ -122,11 +125,12 @@ def evaluate(
     }
     results = iter(workers.results([*truth, *(task for each in tasks.values() for task in each)], progress))
     broken = [row for _ in truth for row in next(results)]
-    scores = {name: Scores.joined([next(results) for _ in each]) for name, each in tasks.items()}
+    scores = {name: [window for _ in each for window in next(results)] for name, each in tasks.items()}
+    again = {name: [window["again"] for window in each if "again" in window] for name, each in scores.items()}
     return {
         "ground_truth_violations": _shares(broken),
         "methods": {name: _summary(each, recordings, owner, options) for name, each in scores.items()},
-    }, {name: _averages(np.array(each.again).T) if each.again else np.empty(0) for name, each in scores.items()}
+    }, {name: _averages(np.array(each).T) if each else np.empty(0) for name, each in again.items()}
 
 
 def warm_up(
@@ -140,56 +144,34 @@ def warm_up(
         first = recordings[0].observations[0]
         state = method.update(method.init_state(), first, first.positions[-1])
         forecast = forecast_in_scene(method, state, first, generator(0), options.samples, scene)
-        Scores().add(forecast, first, recordings[0].future[0], scene, options)
+        score_window(forecast, first, recordings[0].future[0], scene, options)
 
 
 # One method on windows of one recording: what an evaluation does many times over, each time for itself
 
 
-@dataclass
-class Scores:
-    """One method's scores, an entry a window; of `again` an entry a window whose NLL was taken again."""
-
-    error: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
-    nll: list[Float[np.ndarray, " T"]] = field(default_factory=list)
-    kde: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
-    crps: list[Float[np.ndarray, "T 6 3"]] = field(default_factory=list)
-    energy: list[Float[np.ndarray, "T 6"]] = field(default_factory=list)
-    inside: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
-    volume: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
-    stretch: list[Float[np.ndarray, "L T 6"]] = field(default_factory=list)
-    broken: list[Int[np.ndarray, "4"]] = field(default_factory=list)
-    accepted: list[float] = field(default_factory=list)
-    distinct: list[int] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-    again: list[Float[np.ndarray, " K"]] = field(default_factory=list)
-
-    @staticmethod
-    def joined(parts: Sequence[Scores]) -> Scores:
-        """Those of several parts, one after another."""
-        return Scores(*([each for part in parts for each in getattr(part, name.name)] for name in fields(Scores)))
-
-    def add(
-        self,
-        forecast: Forecast,
-        observation: Observation,
-        truth: Float[np.ndarray, "T 6 3"],
-        scene: Scene | None,
-        options: EvaluationOptions,
-    ) -> None:
-        """Scores one forecast."""
-        inside, volume, stretch = regions(forecast.samples, truth)
-        self.error.append(joint_errors(forecast.mean, truth))
-        self.nll.append(-forecast.density.log_prob(truth) / NLL_JOINTS)
-        self.kde.append(kde_nll(forecast.samples, truth))
-        self.crps.append(crps(forecast.samples, truth))
-        self.energy.append(energy_score(forecast.samples, truth))
-        self.inside.append(np.where(scored(truth), inside, np.nan))
-        self.volume.append(volume)
-        self.stretch.append(stretch)
-        self.broken.append(_violations(forecast.samples, observation, scene, options.limits))
-        self.accepted.append(forecast.accepted_fraction)
-        self.distinct.append(forecast.effective_sample_size)
+def score_window(
+    forecast: Forecast,
+    observation: Observation,
+    truth: Float[np.ndarray, "T 6 3"],
+    scene: Scene | None,
+    options: EvaluationOptions,
+) -> Scores:
+    """Scores of one forecast: arrays (T, 6), (T,) of the NLL, (T, 6, 3) of CRPS, (L, T, 6) of regions."""
+    inside, volume, stretch = regions(forecast.samples, truth)
+    return {
+        "error": joint_errors(forecast.mean, truth),
+        "nll": -forecast.density.log_prob(truth) / NLL_JOINTS,
+        "kde": kde_nll(forecast.samples, truth),
+        "crps": crps(forecast.samples, truth),
+        "energy": energy_score(forecast.samples, truth),
+        "inside": np.where(scored(truth), inside, np.nan),
+        "volume": volume,
+        "stretch": stretch,
+        "broken": _violations(forecast.samples, observation, scene, options.limits),
+        "accepted": forecast.accepted_fraction,
+        "distinct": forecast.effective_sample_size,
+    }
 
 
 def score_recording(
@@ -199,16 +181,17 @@ def score_recording(
     repeated: frozenset[int],
     scene: Scene | None,
     options: EvaluationOptions,
-) -> Scores:
+) -> list[Scores]:
     """Scores a method on the windows of a recording; draws depend on the window alone.
 
-    The method sees every frame up to a window's last, and none after it.
+    The method sees every frame up to a window's last, and none after it. Beside the scores of each window, the seconds
+    it took, and where it is repeated the NLL taken again.
 
     Args:
         place: of the recording among all.
         repeated: rows of those windows whose NLL is taken again.
     """
-    scores = Scores()
+    windows: list[Scores] = []
     rows = {frame: row for row, frame in enumerate(recording.frames.tolist())}
     state = method.init_state()
     for frame, observation, measured in recording.history:
@@ -221,16 +204,16 @@ def score_recording(
         forecast = forecast_in_scene(
             method, state, observation, generator(options.seed, place, row), options.samples, scene
         )
-        scores.seconds.append(time.perf_counter() - started)
-        scores.add(forecast, observation, truth, scene, options)
+        seconds = time.perf_counter() - started
+        windows.append({**score_window(forecast, observation, truth, scene, options), "seconds": seconds})
         if row in repeated:
             nll = np.empty(options.repeats)
             for k in range(options.repeats):
                 fresh = generator(options.seed, place, row, k)
                 forecast = forecast_in_scene(method, state, observation, fresh, options.samples, scene)
                 nll[k] = _averages(-forecast.density.log_prob(truth)[None])[0] / NLL_JOINTS
-            scores.again.append(nll)
-    return scores
+            windows[-1]["again"] = nll
+    return windows
 
 
 def _repeated(owner: Int[np.ndarray, " W"], recordings: int, options: EvaluationOptions) -> list[frozenset[int]]:
@@ -265,12 +248,14 @@ def _violations(
 
 
 def _summary(
-    scores: Scores, recordings: Sequence[TestRecording], owner: Int[np.ndarray, " W"], options: EvaluationOptions
+    windows: Sequence[Scores],
+    recordings: Sequence[TestRecording],
+    owner: Int[np.ndarray, " W"],
+    options: EvaluationOptions,
 ) -> dict[str, Any]:
     """One method's entry of metrics.json."""
-    error, nll, volume = np.array(scores.error), np.array(scores.nll), np.array(scores.volume)
-    crps_, inside, stretch = np.array(scores.crps), np.array(scores.inside), np.array(scores.stretch)
-    seconds, distinct = 1e3 * np.array(scores.seconds), np.array(scores.distinct)
+    of = {name: np.array([window[name] for window in windows]) for name in windows[0] if name != "again"}
+    error, nll, volume, inside, stretch = (of[name] for name in ("error", "nll", "volume", "inside", "stretch"))
     moving = np.array([is_moving(o.positions, o.dt) for recording in recordings for o in recording.observations])
     apart = np.concatenate([np.diff([o.stamp for o in recording.observations]) for recording in recordings])
     block = max(round(BOOTSTRAP_BLOCK / (np.median(apart) or 1.0)), 1) if len(apart) else 1
@@ -279,7 +264,7 @@ def _summary(
     def three(select: Bool[np.ndarray, " W"]) -> dict[str, float | None]:
         return {
             "mpjpe_mm": _mean(1e3 * error[select]),
-            "crps_mm": _mean(1e3 * crps_[select]),
+            "crps_mm": _mean(1e3 * of["crps"][select]),
             "nll": _mean(nll[select]),
         }
 
@@ -297,8 +282,8 @@ def _summary(
         "moving_mpjpe_mm": _mean(1e3 * error[moving]),
         "wrist_final_mm": _mean(1e3 * error[:, -1, WRISTS]),
         "nll_stderr": stderr(nll),
-        "kde_nll": _mean(np.array(scores.kde)),
-        "energy_score_mm": _mean(1e3 * np.array(scores.energy)),
+        "kde_nll": _mean(of["kde"]),
+        "energy_score_mm": _mean(1e3 * of["energy"]),
         "coverage": coverage(everything),
         "coverage_by_step": {
             level: [_mean(inside[:, k, t]) for t in range(inside.shape[2])] for level, k in levels.items()
@@ -307,11 +292,11 @@ def _summary(
         "calibrated_region_litres": {
             level: _calibrated(1e3 * volume[:, k], stretch[:, k], float(level)) for level, k in levels.items()
         },
-        "violations": _shares(scores.broken),
-        "accepted_fraction": float(np.mean(scores.accepted)),
-        "effective_sample_size": float(np.mean(distinct)),
-        "blocked_windows": int(np.count_nonzero(distinct == 0)),
-        "latency_ms": {"p50": float(np.percentile(seconds, 50)), "p99": float(np.percentile(seconds, 99))},
+        "violations": _shares(of["broken"]),
+        "accepted_fraction": float(of["accepted"].mean()),
+        "effective_sample_size": float(of["distinct"].mean()),
+        "blocked_windows": int(np.count_nonzero(of["distinct"] == 0)),
+        "latency_ms": {f"p{share}": float(np.percentile(1e3 * of["seconds"], share)) for share in (50, 99)},
         "moving": {"windows": int(moving.sum()), **three(moving)},
         "recordings": {
             recording.name: {"windows": int((owner == k).sum()), **three(owner == k), "coverage": coverage(owner == k)}
@@ -320,7 +305,7 @@ def _summary(
     }
 
 
-def _shares(counts: Sequence[Int[np.ndarray, "4"]]) -> dict[str, float]:
+def _shares(counts: Sequence[Int[np.ndarray, "4"]] | Int[np.ndarray, "W 4"]) -> dict[str, float]:
     """Shares of the known steps of all windows that break each kind of limit."""
     total = np.sum(counts, axis=0) if len(counts) else np.zeros(4)
     return {name: float(broken / max(total[3], 1)) for name, broken in zip(LIMITS, total[:3], strict=True)}

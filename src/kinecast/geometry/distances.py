@@ -26,11 +26,8 @@ from numba import njit
 
 HALF_SPACE = 0.0
 ROUNDED_BOX = 1.0
-ROW = 17
-"""Floats per obstacle."""
-
-TOUCHING = 1e-20
-"""Squared distance [m^2] under which a segment may pass through a box: (1e-10 m)^2, beyond round-off."""
+ROW = 17  # floats per obstacle
+TOUCHING = 1e-20  # squared distance [m^2] under which a segment may pass through a box: (1e-10 m)^2, beyond round-off
 
 Point: TypeAlias = tuple[float, float, float]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from reprlib import Repr
 from typing import TypeVar
 
 import numpy as np
@@ -16,13 +15,9 @@ from kinecast.errors import DatasetError, OptionError
 
 MAXIMUM_BYTES = 1_000_000
 MAXIMUM_DEPTH = 8
-LARGEST = 100.0
-"""No cell is 100 m wide and nothing in it moves at 100 m/s: a larger number is in millimetres."""
-
+MOST_DIGITS = 40  # of a whole number
+LARGEST = 100.0  # no cell is 100 m wide and nothing in it moves at 100 m/s: a larger number is in millimetres
 T = TypeVar("T")
-
-_short = Repr()
-_short.maxother = _short.maxstring = 40
 
 
 def read_text(path: Path) -> str:
@@ -61,6 +56,8 @@ class _Loader(yaml.SafeLoader):
             raise self._refuse(mark, f"nested deeper than {MAXIMUM_DEPTH} levels")
         node = super().compose_node(parent, index)  # type: ignore[arg-type]
         self.depth -= 1
+        if isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:int" and len(node.value) > MOST_DIGITS:
+            raise self._refuse(mark, f"a whole number of {len(node.value)} digits")
         if isinstance(node, yaml.MappingNode):
             found: set[str] = set()
             for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
@@ -93,7 +90,7 @@ class Entry:
             raise
         except (yaml.YAMLError, ValueError) as error:
             mark = getattr(error, "problem_mark", None)
-            problem = error.problem if isinstance(error, yaml.MarkedYAMLError) else _short.repr(str(error))
+            problem = error.problem if isinstance(error, yaml.MarkedYAMLError) else f"{str(error)!r:.40}"
             line = "" if mark is None else f", line {mark.line + 1}"
             raise DatasetError(f"{where}{line}", f"not valid YAML: {problem}") from None
         root = cls(where, "", {}).child("", content)
@@ -108,27 +105,27 @@ class Entry:
         """Nothing but these keys."""
         for key in self.values:
             if key not in allowed:
-                raise self.error(f"unknown entry {_short.repr(key)}; allowed: {', '.join(allowed)}")
+                raise self.error(f"unknown entry {key!r:.40}; allowed: {', '.join(allowed)}")
 
     def child(self, key: str, value: object) -> Entry:
         if not isinstance(value, dict):
-            raise self.error(f"expected entries `key: value`, found {_short.repr(value)}", key)
+            raise self.error(f"expected entries `key: value`, found {value!r:.40}", key)
         return Entry(self.where, ".".join(part for part in (self.name, key) if part), value)
 
     def children(self, key: str) -> list[Entry]:
         """The entries of a list; none if the key is absent."""
         items = self.values.get(key, [])
         if not isinstance(items, list):
-            raise self.error(f"expected a list of entries, each starting with `- `, found {_short.repr(items)}", key)
+            raise self.error(f"expected a list of entries, each starting with `- `, found {items!r:.40}", key)
         return [self.child(f"{key}[{i}]", item) for i, item in enumerate(items)]
 
     def named_children(self, key: str) -> dict[str, Entry]:
         """The entries of a mapping from names; none if the key is absent."""
         items = self.values.get(key, {})
         if not isinstance(items, dict):
-            raise self.error(f"expected entries `name: ...`, found {_short.repr(items)}", key)
+            raise self.error(f"expected entries `name: ...`, found {items!r:.40}", key)
         if wrong := [name for name in items if not isinstance(name, str)]:
-            raise self.error(f"a name must be text, found {_short.repr(wrong[0])}", key)
+            raise self.error(f"a name must be text, found {wrong[0]!r:.40}", key)
         return {name: self.child(f"{key}.{name}", item) for name, item in items.items()}
 
     def number(self, key: str, unit: str, limit: float = LARGEST) -> float:
@@ -139,7 +136,7 @@ class Entry:
         """A list of finite numbers."""
         value = self._value(key)
         if not isinstance(value, list) or len(value) != size:
-            raise self.error(f"expected a list of {size} numbers {unit}, found {_short.repr(value)}", key)
+            raise self.error(f"expected a list of {size} numbers {unit}, found {value!r:.40}", key)
         return np.array([self._checked(f"{key}[{i}]", item, unit, limit) for i, item in enumerate(value)])
 
     def _value(self, key: str) -> object:
@@ -149,7 +146,7 @@ class Entry:
 
     def _checked(self, key: str, value: object, unit: str, limit: float) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(f"expected a number {unit}, found {_short.repr(value)}", key)
+            raise self.error(f"expected a number {unit}, found {value!r:.40}", key)
         if not -limit <= value <= limit:
             hint = "; lengths are in metres" if limit == LARGEST else ""
             raise self.error(f"{value} {unit} is outside -{limit:g}..{limit:g}{hint}", key)

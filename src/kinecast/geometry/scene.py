@@ -23,15 +23,13 @@ from kinecast.geometry.transforms import from_quaternion, rotation_z
 
 MAXIMUM_ENTRIES = 1000
 
-TABLE_THICKNESS = 0.04
-"""Of a table top with an extent [m]; office and workshop tables have 20 to 50 mm."""
+TABLE_THICKNESS = 0.04  # of a table top with an extent [m]; office and workshop tables have 20 to 50 mm
 
 NO_GOAL = "none"
 """What predictions say of a hand that heads for none of the goals; no goal may have this name."""
 RESERVED = f"a goal cannot be named {NO_GOAL!r}: predictions say that of a hand that heads for no goal"
 
-LIMBS = np.array([[0, 1], [1, 2], [3, 4], [4, 5]])
-"""Upper arms and forearms among the six arm joints."""
+LIMBS = np.array([[0, 1], [1, 2], [3, 4], [4, 5]])  # upper arms and forearms among the six arm joints
 
 
 Times: TypeAlias = Float[np.ndarray, " T"]

@@ -11,8 +11,7 @@ from jaxtyping import Float
 from kinecast.errors import OptionError
 from kinecast.geometry.distances import HALF_SPACE, ROUNDED_BOX, ROW, limb_distances
 
-ORTHONORMAL = 1e-6
-"""How far RᵀR may be from the identity: matrices typed with seven digits pass."""
+ORTHONORMAL = 1e-6  # how far RᵀR may be from the identity: matrices typed with seven digits pass
 
 
 Vector: TypeAlias = Float[np.ndarray, " 3"]
@@ -27,8 +26,7 @@ Distances: TypeAlias = Float[np.ndarray, "*batch"]
 class Shape:
     """A convex obstacle."""
 
-    row: Row
-    """The shape as one row of floats (kinecast.geometry.distances)."""
+    row: Row  # the shape as one row of floats (kinecast.geometry.distances)
 
     def rows(self, times: Times) -> Rows:
         """(T, ROW) the shape at each time [s]: it stays where it is."""

@@ -18,10 +18,8 @@ log = logging.getLogger(__name__)
 class SinkCounters:
     """Counts what a sink sent and dropped; of what fails nothing is raised, and the log has it once.
 
-    Args:
-        address: of the sink, for messages.
-        verb: what happens to a prediction there: "written", "sent", "drawn".
-        fatal: errors after which nothing more is tried; any other costs one prediction.
+    Messages name the sink's address and what happens to a prediction there: it is "written", "sent" or "drawn". After a
+    fatal error nothing more is tried; any other costs one prediction.
     """
 
     def __init__(self, address: str, verb: str, *fatal: type[Exception]) -> None:

@@ -22,9 +22,10 @@ from kinecast.datasets.files import STREAM_LIMIT, WHOLE_LIMIT
 from kinecast.datasets.recording import Recording, describe
 from kinecast.errors import DatasetError
 from kinecast.live.foxglove import scene_update, skeleton_update
-from kinecast.live.message_file import Said, labelled_frames, message, read, recordings_of
+from kinecast.live.message_file import message, read, recordings_of
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import FileSink
+from kinecast.pipeline import labelled_frames
 
 PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"  # topics
 _SCHEMAS = {PREDICTIONS: "kinecast.Prediction", SKELETONS: "kinecast.Skeleton", SCENE: "foxglove.SceneUpdate"}
@@ -122,7 +123,7 @@ def load(path: Path) -> list[Recording]:
     if not messages:
         raise DatasetError(path, f"nothing on {SKELETONS} or {PREDICTIONS}")
     places = ((f"{path}, message {number}", content) for number, content in enumerate(messages, 1))
-    return recordings_of((Said(where, *read(where, content)) for where, content in places), path, "mcap", described)
+    return recordings_of((read(*each) for each in places), path, "mcap", described)
 
 
 def _records(path: Path) -> Iterator[object]:

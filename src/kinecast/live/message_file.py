@@ -5,7 +5,6 @@ Predictions hold the arms they rest on, as measured: that is what is read from t
 
 from __future__ import annotations
 
-import heapq
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -22,7 +21,7 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.table import Rows, Words
 from kinecast.errors import DatasetError
 from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, person_of
-from kinecast.pipeline import frames
+from kinecast.pipeline import labelled_frames
 from kinecast.types import SkeletonFrame
 
 LONGEST_LINE = 1 << 20  # bytes of one message; a prediction of 300 steps has 400,000
@@ -36,15 +35,6 @@ class _Message(SkeletonMessage, gc=False):
     label: str | None = None
     source: str = ""
     observed: list[list[float | None]] | None = None
-
-
-def labelled_frames(recordings: Sequence[Recording]) -> Iterator[tuple[SkeletonFrame, str | None]]:
-    """All persons' frames by stamp, each with its label."""
-
-    def one(recording: Recording) -> Iterator[tuple[SkeletonFrame, str | None]]:
-        return zip(frames(recording), recording.labels or (None,) * len(recording.stamps), strict=True)
-
-    return heapq.merge(*map(one, recordings), key=lambda each: each[0].stamp)
 
 
 def message(frame: SkeletonFrame, label: str | None) -> bytes:
@@ -67,7 +57,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
 
 def load(path: Path) -> list[Recording]:
     """One recording for each person, of lines of skeletons or of predictions; a DatasetError for other lines."""
-    return recordings_of((Said(where, *read(where, line)) for where, line in _lines(path)), path, "jsonl")
+    return recordings_of((read(where, line) for where, line in _lines(path)), path, "jsonl")
 
 
 class Said(NamedTuple):
@@ -78,6 +68,11 @@ class Said(NamedTuple):
     source: str | None = None  # of the prediction that it was read from
     label: str | None = None
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Source and person."""
+        return self.source or "", self.frame.person
+
 
 def recordings_of(
     found: Iterable[Said], path: Path, format: str, described: Sequence[Mapping[str, Any]] = ()
@@ -86,14 +81,13 @@ def recordings_of(
 
     A DatasetError where there is none, a person's stamps do not increase, or predictions and skeletons are mixed.
     """
-    kept: list[tuple[tuple[str, str], Said]] = []
+    kept: list[Said] = []
     newest: dict[tuple[str, str], float] = {}
     late: Counter[tuple[str, str]] = Counter()
     points = 0
     for each in found:
-        frame, key = each.frame, (each.source or "", each.frame.person)
-        predicted = each.source is not None
-        if kept and predicted != (kept[0][1].source is not None):
+        frame, key, predicted = each.frame, each.key, each.source is not None
+        if kept and predicted != (kept[0].source is not None):
             raise DatasetError(each.where, "predictions and skeletons in one file")
         if frame.stamp <= newest.get(key, -np.inf):
             if not predicted:
@@ -104,18 +98,18 @@ def recordings_of(
         if points > MOST_POINTS:
             raise DatasetError(each.where, f"more than {MOST_POINTS} positions")
         newest[key] = frame.stamp
-        kept.append((key, each))
+        kept.append(each)
     if not kept:
         raise DatasetError(path, "no frame")
     several = len({source for source, _ in newest}) > 1
     persons = {key: "/".join(key) if several else key[1] for key in newest}
-    frames, sizes = [each.frame for _, each in kept], np.array([len(each.frame.joints) for _, each in kept])
+    frames, sizes = [each.frame for each in kept], np.array([len(each.frame.joints) for each in kept])
     rows = Rows(
         stamp=np.repeat([frame.stamp for frame in frames], sizes),
-        person=Words.of([persons[key] for key, _ in kept], sizes),
+        person=Words.of([persons[each.key] for each in kept], sizes),
         joint=Words.of(joint for frame in frames for joint in frame.joints),
         position=np.concatenate([frame.positions for frame in frames]),
-        label=Words.of([each.label for _, each in kept], sizes),
+        label=Words.of([each.label for each in kept], sizes),
         metadata={"recordings": described} if described else None,
     )
     recordings = table.recordings_of(rows, path)
@@ -127,14 +121,14 @@ def recordings_of(
             each,
             format=format,
             rate=float(f"{each.rate:.9g}"),  # not what rounding of the stamps makes of it
-            notes=(*each.notes, *[ROUNDED] * (kept[0][1].source is not None), *notes[each.person]),
+            notes=(*each.notes, *[ROUNDED] * (kept[0].source is not None), *notes[each.person]),
         )
         for each in recordings
     ]
 
 
-def read(where: str, content: bytes) -> tuple[SkeletonFrame, str | None, str | None]:
-    """A message's skeleton; its source where it is a prediction; its label."""
+def read(where: str, content: bytes) -> Said:
+    """A message's skeleton, which comes from somewhere that an error names; a DatasetError where it has none."""
     try:
         found = msgspec.json.decode(content, type=_Message)
         predicted = found.kind == "prediction"
@@ -147,7 +141,7 @@ def read(where: str, content: bytes) -> tuple[SkeletonFrame, str | None, str | N
         raise DatasetError(where, f"neither skeleton nor prediction: {str(error)[:200]}") from None
     if not isinstance(frame, SkeletonFrame):
         raise DatasetError(where, "pixels of one camera; a recording needs positions in metres")
-    return frame, found.source[:LONGEST_NAME] if predicted else None, found.label
+    return Said(where, frame, found.source[:LONGEST_NAME] if predicted else None, found.label)
 
 
 def _lines(path: Path) -> Iterator[tuple[str, bytes]]:

@@ -58,7 +58,7 @@ class Network:
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="network", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="network", daemon=True)
         self._thread.start()
 
     def open(self, address: Address, opening: Coroutine[Any, Any, _T]) -> _T:
@@ -83,18 +83,12 @@ class Network:
 
     def close(self) -> None:
         """Ends the loop; close who uses it first."""
-        self.finish(_cancel_others())
         self.soon(self._loop.stop)
         self._thread.join(CLOSING)
-        if not self._thread.is_alive():
-            self._loop.close()
 
-
-async def _cancel_others() -> None:
-    others = asyncio.all_tasks() - {asyncio.current_task()}
-    for task in others:
-        task.cancel()
-    await asyncio.gather(*others, return_exceptions=True)
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:  # at its end it cancels what is still there
+            runner.get_loop().run_forever()
 
 
 class WebSocketServer:

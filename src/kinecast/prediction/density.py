@@ -13,6 +13,7 @@ f = Π_b f_b, which becomes f(x) · P(allowed | x) / P(allowed) (Eq. 7, normalis
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, TypeAlias, runtime_checkable
@@ -20,9 +21,18 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from kinecast.body.posture import TURN, coordinates_from_postures, postures_from_coordinates, postures_from_points
+from kinecast.body.limits import STRAIGHT, JointLimits
+from kinecast.body.posture import (
+    LEFT_ARM,
+    RIGHT_ARM,
+    TURN,
+    block_log_det,
+    coordinates_from_postures,
+    postures_from_coordinates,
+    postures_from_points,
+)
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.constraint import ConstraintFactor
+from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 
 FAULT_PROBABILITY = 0.01
@@ -37,6 +47,8 @@ JOINT_ORDER = [joint for block in BLOCKS for joint in block]
 
 TURNING = (3, 6, 7, 12, 13)
 """Posture coordinates that are angles: yaw, flexion and abduction of each arm."""
+LEAST = 1e-12
+"""Least probability of being allowed: keeps logarithms finite."""
 
 
 Poses: TypeAlias = Float[np.ndarray, "T 6 3"]
@@ -50,6 +62,74 @@ class BlockDensity(Protocol):
     def log_blocks(self, poses: Poses) -> Blocks:
         """(C,) log weights of the components and (C, T, 3) log f_bc of torso-frame poses [nats]."""
         ...
+
+
+@dataclass(frozen=True)
+class ConstraintFactor:
+    """Constraints on the pose at each step, for densities.
+
+    A pose is allowed at step t where every arm angle lies in its range and can be reached from the last observed
+    posture in t steps (Eq. 4), and every joint and limb is free of obstacles (Eq. 7). An angle last observed outside
+    its range widens the range that far.
+
+    Attributes:
+        draws: gives (S, T, 6, 3) draws of the unconstrained density, torso frame [m]; called once, when needed.
+        observation: the window; places the torso frame in the world.
+        limits: range and speed of the angles; None for none.
+        noise: spread of a measured joint about the true one [m]; 0 makes every edge sharp.
+        scene: obstacles; None for none.
+    """
+
+    draws: Callable[[], Float[np.ndarray, "S T 6 3"]]
+    observation: Observation
+    limits: JointLimits | None
+    noise: float
+    scene: Scene | None = None
+
+    @cached_property
+    def log_total(self) -> Float[np.ndarray, " T"]:
+        """(T,) log P(allowed) = log ∫ f(x) P(allowed | x) dx, the mean over draws; at least half a draw's share."""
+        points = self.draws()
+        share = np.logaddexp.reduce(self.log_given(points), axis=0) - np.log(len(points))
+        return np.asarray(np.maximum(share, -np.log(2.0 * len(points))))
+
+    def log_factor(self, poses: Float[np.ndarray, "T 6 3"]) -> Float[np.ndarray, " T"]:
+        """(T,) log [P(allowed | x) / P(allowed)]."""
+        if self.limits is None and self.scene is None:
+            return np.zeros(len(poses))
+        return self.log_given(poses) - self.log_total
+
+    def log_given(self, poses: Float[np.ndarray, "*b T 6 3"]) -> Float[np.ndarray, "*b T"]:
+        """(…, T) log P(the true pose is allowed | it was measured here); poses in the torso frame [m]."""
+        log_p = np.zeros(poses.shape[:-2])
+        if self.scene is not None:
+            from scipy.special import log_ndtr  # here, since predicting does without and it is slow to import
+
+            times = self.observation.times(poses.shape[-3])
+            clearance = self.scene.clearance(self.observation.to_world(poses), times)
+            edge = np.where(clearance >= 0, 0.0, -np.inf)
+            log_p += log_ndtr(clearance / self.noise) if self.noise > 0 else edge
+        if self.limits is not None:
+            log_p += self._log_inside(poses, self.limits)
+        return log_p
+
+    def _log_inside(self, poses: Float[np.ndarray, "*b T 6 3"], limits: JointLimits) -> Float[np.ndarray, "*b T"]:
+        from scipy.special import ndtr
+
+        last = self.observation.posture
+        postures = postures_from_points(poses, np.broadcast_to(last, (*poses.shape[:-3], 18)), continuous=False)
+        lower, upper, speed = limits.of_posture()
+        reach = speed * self.observation.dt * np.arange(1, poses.shape[-3] + 1)[:, None]
+        lower = np.maximum(np.minimum(lower, last), last - reach)
+        upper = np.minimum(np.maximum(upper, last), last + reach)
+        log_p = np.zeros(poses.shape[:-2])
+        for arm, bones in ((LEFT_ARM, slice(6, 12)), (RIGHT_ARM, slice(12, 18))):
+            theta = postures[..., arm]
+            spread = angle_noise(postures[..., bones], np.full(3, max(self.noise, 1e-9)))
+            p = ndtr((upper[:, arm] - theta) / spread) - ndtr((lower[:, arm] - theta) / spread)
+            p[..., 2] = np.where(theta[..., 3] < STRAIGHT, 1.0, p[..., 2])
+            log_p += np.log(np.maximum(p, LEAST)).sum(axis=-1)
+        return log_p
 
 
 @dataclass(frozen=True)
@@ -176,24 +256,5 @@ class GaussianMixture:
         error = coordinates_from_postures(postures) - self.mean
         error[..., TURNING] -= TURN * np.round(error[..., TURNING] / TURN)
         log_volume = -block_log_det(postures)
-        log_volume[:, 1:] += _log_magnitude(postures[:, [9, 15]])  # ∂(a, b)/∂(θ3, θ4) has determinant θ4
+        log_volume[:, 1:] += np.log(np.maximum(postures[:, [9, 15]], 1e-12))  # ∂(a, b)/∂(θ3, θ4) has determinant θ4
         return error, log_volume
-
-
-def block_log_det(postures: Float[np.ndarray, "T 18"]) -> Float[np.ndarray, "T 3"]:
-    """(T, 3) log |∂ points / ∂ posture| of each block: shoulders, left arm, right arm.
-
-    Their sum is kinecast.body.posture.log_det_jacobian; sines and cosines are kept off zero.
-    """
-    shoulders = 2 * np.log(postures[:, 5]) + _log_magnitude(np.cos(postures[:, 4]))
-    arms = [
-        2 * np.log(postures[:, at + 4] * postures[:, at + 5])
-        + _log_magnitude(np.cos(postures[:, at + 1]))
-        + _log_magnitude(np.sin(postures[:, at + 3]))
-        for at in (6, 12)
-    ]
-    return np.stack([shoulders, *arms], axis=1)
-
-
-def _log_magnitude(values: Float[np.ndarray, "*b"]) -> Float[np.ndarray, "*b"]:
-    return np.log(np.maximum(np.abs(values), 1e-12))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -51,7 +52,7 @@ def descend(
     """Minimises the mean of a loss over random batches; float32, the same for the same seed.
 
     Args:
-        loss: (parameters, rows of the data, random key) to a number.
+        loss: (JAX, parameters, rows of the data, random key) to a number.
         start: parameters to start from.
         data: arrays with the examples along the first axis.
         steps, batch, rate: number of steps, rows in each, greatest step size.
@@ -70,7 +71,7 @@ def descend(
         parameters, mean, square, key = carry
         key, pick, drop = jax.random.split(key, 3)
         rows = jax.random.randint(pick, (min(batch, count),), 0, count)
-        gradient = jax.grad(loss)(parameters, [array[rows] for array in arrays], drop)
+        gradient = jax.grad(partial(loss, jax))(parameters, [array[rows] for array in arrays], drop)
         size = rate * jnp.minimum(1.0, (k + 1) / WARM_UP) * 0.5 * (1.0 + jnp.cos(jnp.pi * k / steps))
         mean = [FIRST * m + (1 - FIRST) * g for m, g in zip(mean, gradient, strict=True)]
         square = [second * s + (1 - second) * g * g for s, g in zip(square, gradient, strict=True)]

@@ -6,8 +6,8 @@ can be held inside joint limits and scene. Any mean model (kinecast.prediction.l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -21,8 +21,7 @@ from kinecast.body.posture import (
     postures_from_points,
 )
 from kinecast.errors import ModelError
-from kinecast.prediction.constraint import ConstraintFactor
-from kinecast.prediction.density import GaussianMixture, PoseDensity
+from kinecast.prediction.density import ConstraintFactor, GaussianMixture, PoseDensity
 from kinecast.prediction.linear import MeanModel, mean_from_arrays
 from kinecast.prediction.method import Forecast, Memoryless
 from kinecast.prediction.model_file import ModelCard, shaped
@@ -30,7 +29,6 @@ from kinecast.prediction.noise import coordinate_noise
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.prediction.rollout import hold
 from kinecast.prediction.sampling import sample_motions
-from kinecast.tasks import Serial, Workers
 
 G = TypeVar("G", bound="_Gaussian")
 Square: TypeAlias = Float[np.ndarray, "K K"]
@@ -65,23 +63,17 @@ def posture_examples(windows: TrainingWindows) -> Examples:
     return Examples(coordinates[:, :frames], coordinates[:, frames:], windows.folds(FOLDS))
 
 
-def residual_moment(fit: Fit, examples: Examples, fold: int) -> tuple[Square, int]:
-    """Sum of the outer products of the errors on one left-out fold, and how many there are."""
-    outside = examples.folds == fold
-    inside = ~outside if (~outside).any() else outside
-    model = fit(*(each[inside] for each in examples))
-    errors = (examples.future[outside] - model.mean(examples.observed[outside])).reshape(outside.sum(), -1)
-    return errors.T @ errors, len(errors)
-
-
-def residual_factor(moments: Sequence[tuple[Square, int]]) -> Square:
-    """Cholesky factor of the second moment of all folds' errors, over all steps and coordinates at once."""
-    moment = np.sum([moment for moment, _ in moments], axis=0) / sum(count for _, count in moments)
+def residual_factor(fit: Fit, examples: Examples) -> Square:
+    """Cholesky factor of the second moment of the errors on left-out folds, over all steps and coordinates at once."""
+    moment: Any = 0.0
+    for fold in np.unique(examples.folds):
+        outside = examples.folds == fold
+        inside = ~outside if (~outside).any() else outside
+        model = fit(*(each[inside] for each in examples))
+        errors = (examples.future[outside] - model.mean(examples.observed[outside])).reshape(outside.sum(), -1)
+        moment = moment + errors.T @ errors
+    moment = moment / len(examples.folds)
     return np.linalg.cholesky(moment + FLOOR**2 * np.eye(len(moment)))
-
-
-def _fit_all(fit: Fit, examples: Examples) -> MeanModel:
-    return fit(*examples)
 
 
 def with_noise(cholesky: Square, noise: Float[np.ndarray, " D"]) -> Square:
@@ -118,21 +110,8 @@ class _Gaussian(Memoryless):
         cls: type[G], fit: Fit, windows: TrainingWindows, noise: float = 0.0, limits: JointLimits | None = None
     ) -> G:
         """Mean model and residual covariance from training windows."""
-        workers = Serial()
-        fitting = cls.fitting(workers, fit, windows, workers.submit(cls.examples, windows), noise)
-        return replace(workers.results([fitting])[0], limits=limits)
-
-    @classmethod
-    def fitting(cls, workers: Workers, fit: Fit, windows: TrainingWindows, examples: Any, noise: float) -> Any:
-        """Stands for the same, fitted by workers and without limits; `examples` stands for those of the windows."""
-        folds = np.unique(windows.folds(FOLDS)).tolist()
-        moments = [workers.submit(residual_moment, fit, examples, fold) for fold in folds]
-        model, cholesky = workers.submit(_fit_all, fit, examples), workers.submit(residual_factor, moments)
-        return workers.submit(cls, *windows.shape, model, cholesky, noise)
-
-    def with_limits(self: G, limits: JointLimits | None) -> G:
-        """The same Gaussian, constrained or free."""
-        return replace(self, limits=limits)
+        examples = cls.examples(windows)
+        return cls(*windows.shape, fit(*examples), residual_factor(fit, examples), noise, limits)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a model file."""

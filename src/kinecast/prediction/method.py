@@ -163,31 +163,21 @@ def forecast_in_scene(
 def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray, "T 6 3 3"]:
     """(T, 6, 3, 3) covariance of each joint's position at each step [m^2]."""
     count, steps = samples.shape[:2]
-    covariances = np.empty((steps * 6, 3, 3))
-    _covariances(samples.reshape(count, -1), samples.mean(axis=0).ravel(), covariances.reshape(-1, 9))
+    covariances = _covariances(samples.reshape(count, -1, 3), samples.mean(axis=0).reshape(-1, 3))
     return covariances.reshape(steps, 6, 3, 3)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _covariances(
-    samples: Float[np.ndarray, "S 3*K"], mean: Float[np.ndarray, " 3*K"], out: Float[np.ndarray, "K 9"]
-) -> None:
-    count = len(samples)
-    for k in range(len(out)):
+def _covariances(samples: Float[np.ndarray, "S K 3"], mean: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3 3"]:
+    out = np.zeros((len(mean), 3, 3))
+    for k in range(len(mean)):
         xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for s in range(count):
-            x, y, z = (
-                samples[s, 3 * k] - mean[3 * k],
-                samples[s, 3 * k + 1] - mean[3 * k + 1],
-                samples[s, 3 * k + 2] - mean[3 * k + 2],
-            )
-            xx += x * x
-            xy += x * y
-            xz += x * z
-            yy += y * y
-            yz += y * z
-            zz += z * z
-        out[k, 0], out[k, 4], out[k, 8] = xx / count, yy / count, zz / count
-        out[k, 1], out[k, 2], out[k, 5] = xy / count, xz / count, yz / count
-        out[k, 3], out[k, 6], out[k, 7] = out[k, 1], out[k, 2], out[k, 5]
+        for s in range(len(samples)):
+            x, y, z = samples[s, k, 0] - mean[k, 0], samples[s, k, 1] - mean[k, 1], samples[s, k, 2] - mean[k, 2]
+            xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
+            yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
+        for i, row in enumerate(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))):
+            for j in range(3):
+                out[k, i, j] = row[j]
+    return out / len(samples)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -24,7 +24,6 @@ from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
 from kinecast.prediction.plugins import is_plugin, load_plugin
-from kinecast.prediction.sparse_gp import SparseGPOptions
 from kinecast.tasks import Progress, Serial, Workers, scatter
 
 METHODS: Mapping[str, str] = {
@@ -58,24 +57,10 @@ SHIPPED = ("zero_velocity", "damped_velocity", "gp_constrained", "kinecast")
 """Methods whose models come with kinecast, the best last."""
 
 
-@dataclass(frozen=True)
-class TrainingOptions(SparseGPOptions):
-    """How methods are trained.
-
-    Attributes:
-        limits: range and speed of the arm's angles; ranges are widened to hold the training postures, since markers
-            are not always at the joints.
-        descent: steps of it, for the neural forecaster.
-    """
-
-    limits: JointLimits = field(default_factory=JointLimits)
-    descent: int = 1500
-
-
 def train(
     names: Sequence[str],
     windows: TrainingWindows,
-    options: TrainingOptions,
+    seed: int = 0,
     progress: Progress | None = None,
     workers: Workers | None = None,
 ) -> dict[str, Method[Any]]:
@@ -84,7 +69,7 @@ def train(
     Args:
         names: of methods, keys of METHODS.
         windows: training data.
-        options: see TrainingOptions.
+        seed: of everything random, 0 or more.
         progress: called with (done, total) tasks.
         workers: that do them; None for this process. The methods are the same, to the last bit.
 
@@ -97,51 +82,41 @@ def train(
     if len(windows) < 50:
         raise ModelError(f"{len(windows)} training windows; at least 50 are needed")
     workers = workers or Serial()
-    fitted = _fitting(workers, windows, options)
-    return dict(zip(names, workers.results([fitted(name) for name in names], progress), strict=True))
-
-
-def _fitting(workers: Workers, windows: TrainingWindows, options: TrainingOptions) -> Callable[[str], Any]:
-    """Gives what stands for a trained method by its name; what two methods share is one task."""
-    noise, limits, data = sensor_noise(windows), limits_of(windows, options), workers.submit(scatter, windows)
-    examples = cache(lambda kind: workers.submit(kind.examples, data))
+    noise, limits, data = sensor_noise(windows), limits_of(windows), workers.submit(scatter, windows)
 
     @cache
-    def fitted(name: str) -> Any:
+    def fitting(name: str) -> Any:
+        """What stands for a trained method."""
         if name in FREE:
-            return workers.submit(_with_limits, fitted(FREE[name]), limits)
+            return workers.submit(partial(replace, limits=limits), fitting(FREE[name]))
         if name == "kinecast":
-            from kinecast.prediction.kinecast.fit import KinecastOptions, fitting_kinecast  # only to train
+            from kinecast.prediction.kinecast.fit import fitting_kinecast  # only to train
 
-            return fitting_kinecast(workers, windows, data, limits, noise, KinecastOptions(seed=options.seed))
+            return fitting_kinecast(workers, windows, data, limits, noise, seed)
         if name == "gp_xyz":
-            return PositionSeries.fitting(workers, windows, data, options)
+            return PositionSeries.fitting(workers, windows, seed)
         if name == "gp_angles":
-            return PostureSeries.fitting(workers, windows, examples(PostureGaussian), options, noise)
+            return PostureSeries.fitting(workers, windows, seed, noise)
         kind = PostureGaussian if name.endswith("_angles") else PositionGaussian
-        fit = partial(_fit_mean, name.removesuffix("_angles"), options, windows.dt)
-        return kind.fitting(workers, fit, windows, examples(kind), noise)
+        fit = partial(_fit_mean, name.removesuffix("_angles"), seed, windows.dt)
+        return workers.submit(kind.fit, fit, data, noise)
 
-    return fitted
-
-
-def _with_limits(method: Any, limits: JointLimits) -> Any:
-    return method.with_limits(limits)
+    return dict(zip(names, workers.results([fitting(name) for name in names], progress), strict=True))
 
 
-def limits_of(windows: TrainingWindows, options: TrainingOptions) -> JointLimits:
-    """The options' limits, their ranges widened to hold the postures trained on."""
-    return options.limits.widened(postures_from_points(windows.points, continuous=True)[:, -1])
+def limits_of(windows: TrainingWindows) -> JointLimits:
+    """Limits whose ranges are widened to hold the postures trained on: markers are not always at the joints."""
+    return JointLimits().widened(postures_from_points(windows.points, continuous=True)[:, -1])
 
 
 def card_of(
     name: str,
     method: Method[Any],
     windows: TrainingWindows,
-    options: TrainingOptions,
     label: str,
     trained_on: Sequence[str],
     notes: Sequence[str] = (),
+    seed: int = 0,
 ) -> ModelCard:
     """The card of a method just trained."""
     return ModelCard(
@@ -149,12 +124,12 @@ def card_of(
         frames=method.frames,
         steps=method.steps,
         rate=1.0 / method.dt,
-        limits=limits_of(windows, options),
+        limits=limits_of(windows),
         noise=sensor_noise(windows),
         trained_on=tuple(trained_on),
         windows=len(windows),
         label=label,
-        seed=options.seed,
+        seed=seed,
         notes=tuple(notes),
     )
 
@@ -167,7 +142,7 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def _fit_mean(
-    name: str, options: TrainingOptions, dt: float, windows: np.ndarray, futures: np.ndarray, folds: np.ndarray
+    name: str, seed: int, dt: float, windows: np.ndarray, futures: np.ndarray, folds: np.ndarray
 ) -> MeanModel:
     """Fits the mean model of a baseline."""
     frames, steps = windows.shape[1], futures.shape[1]
@@ -182,7 +157,7 @@ def _fit_mean(
             return kalman(windows, futures)
         case "ridge":
             return fit_ridge(windows, futures, folds)
-    return fit_mixer(windows, futures, steps=options.descent, seed=options.seed)
+    return fit_mixer(windows, futures, seed=seed)
 
 
 def save_method(path: Path, card: ModelCard, method: Method[Any]) -> None:
@@ -217,7 +192,7 @@ def _method_from(card: ModelCard, arrays: Mapping[str, np.ndarray]) -> Method[An
     free = FREE.get(card.method, card.method)
     kind = PostureSeries if free == "gp_angles" else PostureGaussian if free.endswith("_angles") else PositionGaussian
     method = kind.from_arrays(arrays, card)
-    return method if free == card.method else method.with_limits(card.limits)
+    return method if free == card.method else replace(method, limits=card.limits)
 
 
 def read_shipped(name: str = SHIPPED[-1]) -> tuple[ModelCard, Method[Any]]:

@@ -18,6 +18,8 @@ from kinecast.prediction.descent import descend
 from kinecast.prediction.model_file import Arrays, shaped
 
 WIDTH, BLOCKS = 48, 4
+STEPS = 1500
+"""Of stochastic descent."""
 LEAST = 1e-5
 """Added to variances [of units squared]."""
 
@@ -67,7 +69,7 @@ def mixer_from_arrays(arrays: Mapping[str, np.ndarray], frames: int, steps: int,
 
 
 def fit_mixer(
-    windows: Float[np.ndarray, "W N D"], futures: Float[np.ndarray, "W T D"], *, steps: int, seed: int
+    windows: Float[np.ndarray, "W N D"], futures: Float[np.ndarray, "W T D"], *, seed: int, steps: int = STEPS
 ) -> Mixer:
     """Trained by `steps` of stochastic descent on the mean distance between points, coordinates in threes."""
     frames, size = windows.shape[1:]
@@ -112,10 +114,8 @@ def _displacement(np_: Any, parameters: Any, x: Any) -> Any:
     return O @ h @ V + v
 
 
-def _loss(parameters: Any, rows: Any, _key: Any) -> Any:
-    import jax.numpy as jnp
-
+def _loss(jax: Any, parameters: Any, rows: Any, _key: Any) -> Any:
     x, target = rows
-    error = _displacement(jnp, parameters, x) - target
+    error = _displacement(jax.numpy, parameters, x) - target
     square = (error.reshape(*error.shape[:2], -1, 3) ** 2).sum(axis=-1)
-    return jnp.sqrt(square + 1e-6).mean()
+    return jax.numpy.sqrt(square + 1e-6).mean()

@@ -23,13 +23,11 @@ LARGEST = 256 * 2**20
 """Most bytes a model may hold once unpacked."""
 MOST_ARRAYS = 4096
 CARD = "card"
-NUMBER = (int, float)
-FIELD_KINDS: dict[str, tuple[type, ...]] = {
-    "method": (str,), "frames": (int,), "steps": (int,), "rate": NUMBER, "noise": NUMBER, "windows": (int,),
-    "label": (str,), "seed": (int,),
+PLAIN: dict[Any, tuple[type, ...]] = {
+    "str": (str,), "int": (int,), "float": (int, float), "float | None": (int, float, type(None)),
 }  # fmt: skip
-"""Types of the card's plain entries."""
-
+NESTED: dict[Any, type] = {"JointLimits": JointLimits, "AngleLimit": AngleLimit}
+"""Types of the card's entries, by the annotations of its fields."""
 
 A = TypeVar("A", bound="Arrays")
 
@@ -53,10 +51,10 @@ class Arrays:
         """What `to_arrays` described, from names that begin with the prefix, its fields that are not arrays given.
 
         Raises:
-            KeyError: an array is missing.
+            ModelError: an array is missing.
         """
         names = [f.name for f in dataclasses.fields(cls) if f.name not in parts]  # type: ignore[arg-type]
-        return cls(**parts, **{name: np.asarray(arrays[prefix + name], float)[()] for name in names})
+        return cls(**parts, **{name: np.asarray(_present(arrays, prefix + name), float)[()] for name in names})
 
 
 @dataclass(frozen=True)
@@ -119,11 +117,7 @@ def _card_from(data: Any) -> ModelCard:
     names = {f.name for f in dataclasses.fields(ModelCard)}
     if not {"method", "frames", "steps", "rate"} <= set(data) <= names:
         raise ValueError(f"card with entries {sorted(data)}; expected {sorted(names)}")
-    for name, kinds in FIELD_KINDS.items():
-        _check_kind(name, data.get(name, kinds[0]()), kinds)
-    for name in ("joints", "trained_on", "notes"):
-        data[name] = tuple(str(item) for item in data.get(name, ()))
-    card = ModelCard(**{**data, "limits": _limits_from(data.get("limits", {}))})
+    card: ModelCard = _from_entries(ModelCard, data)
     if card.joints != ARM_JOINTS:
         raise ValueError(f"a model of the joints {card.joints}; this kinecast predicts {ARM_JOINTS}")
     if not (2 <= card.frames <= 1000 and 1 <= card.steps <= 1000 and 0 < card.rate <= 1000):
@@ -135,22 +129,22 @@ def _card_from(data: Any) -> ModelCard:
     return card
 
 
-def _limits_from(data: Any) -> JointLimits:
-    _check_kind("limits", data, (dict,))
-    wrist_speed = data.pop("wrist_speed", None)
-    if wrist_speed is not None:
-        _check_kind("wrist_speed", wrist_speed, NUMBER)
-    for name, limit in data.items():
-        _check_kind(name, limit, (dict,))
-        for entry, value in limit.items():
-            _check_kind(f"{name}.{entry}", value, NUMBER)
-    return JointLimits(**{name: AngleLimit(**limit) for name, limit in data.items()}, wrist_speed=wrist_speed)
-
-
-def _check_kind(name: str, value: object, kinds: tuple[type, ...]) -> None:
-    """Raises TypeError for a value of another kind; true and false are no numbers."""
-    if not isinstance(value, kinds) or isinstance(value, bool):
-        raise TypeError(f"{name} is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}")
+def _from_entries(kind: Any, entries: Any, within: str = "") -> Any:
+    """A dataclass of these entries, each of the type that its field states."""
+    found = dict(entries)
+    for f in dataclasses.fields(kind):
+        if f.name not in entries:
+            continue
+        name, value, nested = within + f.name, entries[f.name], NESTED.get(f.type)
+        if f.type == "tuple[str, ...]":
+            found[f.name] = tuple(map(str, value))
+        else:
+            kinds = (dict,) if nested else PLAIN[f.type]
+            if not isinstance(value, kinds) or isinstance(value, bool):
+                raise ValueError(f"{name} is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}")
+            if nested:
+                found[f.name] = _from_entries(nested, value, f"{f.name}." if nested is AngleLimit else "")
+    return kind(**found)
 
 
 def write_model_file(path: Path, card: ModelCard, arrays: Mapping[str, np.ndarray]) -> None:
@@ -198,9 +192,13 @@ def read_model_file(path: Path) -> tuple[ModelCard, dict[str, np.ndarray]]:
 
 def shaped(arrays: Mapping[str, np.ndarray], name: str, *shape: int) -> np.ndarray:
     """An array of floats by its name; ModelError where it is missing or of another shape."""
-    if name not in arrays:
-        raise ModelError(f"array {name} is missing; present are {sorted(arrays)}")
-    array = np.ascontiguousarray(arrays[name], dtype=float)
+    array = np.ascontiguousarray(_present(arrays, name), dtype=float)
     if array.shape != shape:
         raise ModelError(f"array {name} of shape {array.shape}; expected {shape}")
     return array
+
+
+def _present(arrays: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    if name not in arrays:
+        raise ModelError(f"array {name} is missing; present are {sorted(arrays)}")
+    return arrays[name]

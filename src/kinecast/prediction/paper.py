@@ -8,8 +8,9 @@ and scene. Each series' next value depends on its own last 200 ms alone, as in t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,9 +18,8 @@ from jaxtyping import Float, Int
 from kinecast.body.limits import JointLimits, posture_bounds
 from kinecast.body.posture import coordinates_from_postures, points_from_postures, postures_from_points
 from kinecast.errors import ModelError
-from kinecast.prediction.constraint import ConstraintFactor
-from kinecast.prediction.density import PoseDensity
-from kinecast.prediction.gaussian import Examples
+from kinecast.prediction.density import ConstraintFactor, PoseDensity
+from kinecast.prediction.gaussian import posture_examples
 from kinecast.prediction.method import Forecast, Memoryless
 from kinecast.prediction.model_file import ModelCard, shaped
 from kinecast.prediction.noise import coordinate_noise
@@ -33,51 +33,25 @@ from kinecast.prediction.rollout import (
     roll_positions,
     roll_series,
 )
-from kinecast.prediction.sparse_gp import SparseGPOptions, SparseGPs, fit_sparse_gp
+from kinecast.prediction.sparse_gp import SparseGPs, fit_sparse_gp
 from kinecast.tasks import Workers
 
+PSEUDO_INPUTS, POINTS, ITERATIONS = 16, 2000, 100
+"""M (docs/decisions/0011); most windows trained on, drawn at random where there are more; iterations of L-BFGS."""
 LEAST_NOISE = 1e-6
 """Where bounds leave a single value, its density needs some noise to be finite [m]."""
 
 
-class _Series(NamedTuple):
-    """D series and their next values, at the windows that processes are trained on; how far bones stray."""
-
-    inputs: Float[np.ndarray, "D W N"]
-    outputs: Float[np.ndarray, "D W"]
-    length_spread: Float[np.ndarray, "T 4"] | None = None
-
-
-def _chosen(windows: int, options: SparseGPOptions) -> Int[np.ndarray, " K"]:
+def _chosen(windows: int, seed: int) -> Int[np.ndarray, " K"]:
     """The same random choice of windows for every series."""
-    return np.sort(np.random.default_rng(options.seed).permutation(windows)[: options.points])
+    return np.sort(np.random.default_rng(seed).permutation(windows)[:POINTS])
 
 
-def _position_series(windows: TrainingWindows, options: SparseGPOptions) -> _Series:
-    """World coordinates as they are, as the paper has it."""
-    rows = _chosen(len(windows), options)
-    inputs = windows.observed[rows].reshape(len(rows), -1, 18).transpose(2, 0, 1)
-    return _Series(inputs, windows.future[rows, 0].reshape(-1, 18).T)
-
-
-def _posture_series(examples: Examples, options: SparseGPOptions) -> _Series:
-    """Torso pose relative to its last value, angles as they are; how far bone lengths stray from their last value."""
-    stray = examples.future[..., BONES] - examples.observed[:, -1:, BONES]
-    rows = _chosen(len(examples.observed), options)
-    inputs, outputs = examples.observed[rows][:, :, SERIES], examples.future[rows, 0][:, SERIES]
-    last = inputs[:, -1:, :RELATIVE].copy()
-    inputs[..., :RELATIVE] -= last
-    outputs[:, :RELATIVE] -= last[:, 0]
-    return _Series(inputs.transpose(2, 0, 1), outputs.T, np.sqrt((stray**2).mean(axis=0) + 1e-6))
-
-
-def _process(series: _Series, place: int, options: SparseGPOptions) -> SparseGPs:
-    return fit_sparse_gp(series.inputs[place], series.outputs[place], options)
-
-
-def _fit(workers: Workers, series: Any, count: int, options: SparseGPOptions) -> Any:
-    """A process for each of the series; stands for all of them."""
-    return workers.submit(SparseGPs.joined, [workers.submit(_process, series, d, options) for d in range(count)])
+def _fitting(workers: Workers, inputs: Float[np.ndarray, "K N D"], outputs: Float[np.ndarray, "K D"], seed: int) -> Any:
+    """Stands for the processes of D series, each from its last N values to its next one."""
+    fit = partial(fit_sparse_gp, seed=seed, pseudo_inputs=PSEUDO_INPUTS, iterations=ITERATIONS)
+    series = zip(inputs.transpose(2, 0, 1), outputs.T, strict=True)
+    return workers.submit(SparseGPs.joined, [workers.submit(fit, x, y) for x, y in series])
 
 
 @dataclass(frozen=True)
@@ -90,10 +64,11 @@ class PositionSeries(Memoryless):
     processes: SparseGPs
 
     @staticmethod
-    def fitting(workers: Workers, windows: TrainingWindows, data: Any, options: SparseGPOptions) -> Any:
-        """Stands for the method, one process per coordinate; `data` stands for the windows."""
-        series = workers.submit(_position_series, data, options)
-        return workers.submit(PositionSeries, *windows.shape, _fit(workers, series, 18, options))
+    def fitting(workers: Workers, windows: TrainingWindows, seed: int) -> Any:
+        """Stands for the method: a process per world coordinate, taken as it is, as the paper has it."""
+        rows = _chosen(len(windows), seed)
+        inputs, outputs = windows.observed[rows].reshape(len(rows), -1, 18), windows.future[rows, 0].reshape(-1, 18)
+        return workers.submit(PositionSeries, *windows.shape, _fitting(workers, inputs, outputs, seed))
 
     def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         """See kinecast.prediction.method.Method."""
@@ -136,17 +111,18 @@ class PostureSeries(Memoryless):
     limits: JointLimits | None = None
 
     @staticmethod
-    def fitting(
-        workers: Workers, windows: TrainingWindows, examples: Any, options: SparseGPOptions, noise: float
-    ) -> Any:
-        """Stands for the method, without limits; `examples` stands for the windows' `posture_examples`."""
-        series = workers.submit(_posture_series, examples, options)
-        processes = _fit(workers, series, len(SERIES), options)
-        return workers.submit(_posture_method, windows.shape, processes, series, noise)
-
-    def with_limits(self, limits: JointLimits | None) -> PostureSeries:
-        """The same processes, constrained or free."""
-        return replace(self, limits=limits)
+    def fitting(workers: Workers, windows: TrainingWindows, seed: int, noise: float) -> Any:
+        """Stands for the method, without limits: torso pose relative to its last value, angles as they are."""
+        observed, future, _ = posture_examples(windows)
+        stray = future[..., BONES] - observed[:, -1:, BONES]
+        rows = _chosen(len(windows), seed)
+        inputs, outputs = observed[rows][:, :, SERIES], future[rows, 0][:, SERIES]
+        last = inputs[:, -1, :RELATIVE].copy()
+        inputs[..., :RELATIVE] -= last[:, None]
+        outputs[:, :RELATIVE] -= last
+        processes = _fitting(workers, inputs, outputs, seed)
+        length_spread = np.sqrt((stray**2).mean(axis=0) + 1e-6)
+        return workers.submit(PostureSeries, *windows.shape, processes, length_spread, noise)
 
     def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         """See kinecast.prediction.method.Method."""
@@ -177,10 +153,3 @@ class PostureSeries(Memoryless):
         if not (spread > 0).all():
             raise ModelError("array length_spread holds values that are not above 0")
         return PostureSeries(card.frames, card.steps, card.dt, processes, spread, card.noise)
-
-
-def _posture_method(
-    shape: tuple[int, int, float], processes: SparseGPs, series: _Series, noise: float
-) -> PostureSeries:
-    assert series.length_spread is not None
-    return PostureSeries(*shape, processes, series.length_spread, noise)

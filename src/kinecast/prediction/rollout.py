@@ -19,12 +19,13 @@ from kinecast.body.limits import bounds, speeds_within_wrist_speed
 from kinecast.body.posture import (
     LENGTHS,
     TURN,
+    block_log_det,
     coordinates_from_postures,
     nearest_turn,
     other_branch,
     postures_from_points,
 )
-from kinecast.prediction.density import JOINT_ORDER, block_log_det
+from kinecast.prediction.density import JOINT_ORDER
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 from kinecast.prediction.sparse_gp import SparseGPs

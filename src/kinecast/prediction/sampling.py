@@ -57,46 +57,42 @@ def sample_motions(
         (S, T, 6, 3) positions in the world [m].
     """
     steps, samples = len(mean), draws.shape[1]
-    blocks = -(-samples // BLOCK)
-    drawn = np.zeros((blocks, len(draws), BLOCK))
-    for b in range(blocks):
+    drawn = np.zeros((-(-samples // BLOCK), len(draws), BLOCK))
+    for b, block in enumerate(drawn):
         part = draws[:, b * BLOCK : (b + 1) * BLOCK]
-        drawn[b, :, : part.shape[1]] = part
-    if limits is not None:
-        which = list(ANGLES)
-        lower, upper, speed = (values[which] for values in limits.of_posture())
-        bounds_of_all = (
-            observation.posture[which],
-            observation.posture[list(LENGTHS[1:])],
-            lower,
-            upper,
-            speed * observation.dt,
-            np.inf if limits.wrist_speed is None else limits.wrist_speed * observation.dt,
-        )
+        block[:, : part.shape[1]] = part
+    within = None if limits is None else _within(limits, observation)
     motions = np.empty((samples, steps, 6, 3))
 
-    def some(first: int, last: int) -> None:
-        """Fills in the motions of some blocks."""
-        rows = slice(first * BLOCK, last * BLOCK)
-        poses = factor.reshape(steps, 1, 18, -1) @ drawn[first:last]
+    def fill(first: int, last: int) -> None:
+        """The motions of some blocks."""
+        poses = (factor.reshape(steps, 1, 18, -1) @ drawn[first:last]).reshape(steps, last - first, 18 * BLOCK)
         if farthest is not None:
-            _hold_near(poses.reshape(steps, last - first, 18 * BLOCK), 1.0 / farthest**2)
-        poses += mean.reshape(steps, 1, 18, 1)
-        poses = poses.reshape(steps, last - first, 18 * BLOCK)
-        if limits is not None:
+            _hold_near(poses, 1.0 / farthest**2)
+        poses.reshape(steps, last - first, 18, BLOCK)[:] += mean.reshape(steps, 1, 18, 1)
+        if within is not None:
             angles, adjacent = np.empty((2, steps, last - first, 8 * BLOCK))
             _arm_triangles(poses, angles, adjacent)
             np.arctan2(angles, adjacent, out=angles)
-            _hold_within_bounds(poses, angles, *bounds_of_all)
-        _to_world(poses, *observation.frame, motions[rows])
+            _hold_within_bounds(poses, angles, *within)
+        _to_world(poses, *observation.frame, motions[first * BLOCK : last * BLOCK])
 
-    if blocks == 1:
-        some(0, 1)
+    if len(drawn) == 1:
+        fill(0, 1)
     else:
-        half = _helper(os.getpid()).submit(some, 0, blocks // 2)
-        some(blocks // 2, blocks)
+        half = _helper(os.getpid()).submit(fill, 0, len(drawn) // 2)
+        fill(len(drawn) // 2, len(drawn))
         half.result()
     return motions
+
+
+def _within(limits: JointLimits, observation: Observation) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Last angles [rad], bones [m]; lower and upper end and reach in a step (3, 8) [rad]; a wrist's reach [m]."""
+    lower, upper, speed = limits.of_posture()
+    bounds_of_step = np.stack([lower, upper, speed * observation.dt])[:, list(ANGLES)]
+    wrist_reach = np.inf if limits.wrist_speed is None else limits.wrist_speed * observation.dt
+    posture = observation.posture
+    return posture[list(ANGLES)], posture[list(LENGTHS[1:])], bounds_of_step, wrist_reach
 
 
 @cache
@@ -183,9 +179,7 @@ def _hold_within_bounds(
     angles: Float[np.ndarray, "T B 8*C"],
     initial: Float[np.ndarray, "8"],
     bones: Float[np.ndarray, "4"],
-    lower: Float[np.ndarray, "8"],
-    upper: Float[np.ndarray, "8"],
-    reach: Float[np.ndarray, "8"],
+    within: Float[np.ndarray, "3 8"],
     wrist_reach: float,
 ) -> None:
     """Poses, changed in place: the angles of every step within Eq. 4's bounds of the step before.
@@ -195,11 +189,10 @@ def _hold_within_bounds(
         angles: of both arms [rad], as `_arm_triangles` has them.
         initial: angles one step before the first [rad].
         bones: upper arm and forearm there, left and right [m].
-        lower, upper: range [rad].
-        reach: farthest that an angle goes in a step [rad].
+        within: lower and upper end of each range, farthest that an angle goes in a step [rad].
         wrist_reach: farthest that a wrist goes relative to the torso in a step [m]; infinite for none.
     """
-    blocks = poses.shape[1]
+    blocks, (lower, upper, reach) = poses.shape[1], within
     last = np.empty((blocks, 8 * BLOCK))
     for b in range(blocks):
         for i in range(8 * BLOCK):

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -98,37 +97,17 @@ class SparseGPs(NamedTuple):
         return processes
 
 
-@dataclass(frozen=True)
-class SparseGPOptions:
-    """How sparse GPs are trained.
-
-    Attributes:
-        seed: of everything random.
-        pseudo_inputs: M, at most the number of points.
-        points: most windows trained on, drawn at random where there are more.
-        iterations: of L-BFGS.
-
-    Raises:
-        OptionError: if one of them is out of range.
-    """
-
-    seed: int = 0
-    pseudo_inputs: int = 16
-    points: int = 2000
-    iterations: int = 100
-
-    def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("pseudo_inputs", 1), ("points", 2), ("iterations", 0)):
-            if getattr(self, name) < least:
-                raise OptionError(f"{name} must be at least {least}, found {getattr(self, name)}")
-
-
 def fit_sparse_gp(
-    inputs: Float[np.ndarray, "W N"], outputs: Float[np.ndarray, " W"], options: SparseGPOptions
+    inputs: Float[np.ndarray, "W N"],
+    outputs: Float[np.ndarray, " W"],
+    *,
+    seed: int,
+    pseudo_inputs: int,
+    iterations: int,
 ) -> SparseGPs:
-    """One SPGP of the marginal likelihood's maximum, starting from k-means centres.
+    """One SPGP (D = 1) of the marginal likelihood's maximum, starting from k-means centres.
 
-    The same seed and data give the same result (D = 1) on the same machine; `options.points` is the caller's.
+    The same seed and data give the same result on the same machine; `iterations` are those of L-BFGS.
 
     Raises:
         MissingExtraError: without JAX.
@@ -141,9 +120,9 @@ def fit_sparse_gp(
     input_mean, input_sd = _standard(inputs)
     output_mean, output_sd = _standard(outputs)
     x, y = (inputs - input_mean) / input_sd, (outputs - output_mean) / output_sd
-    z = centres(np.random.default_rng(options.seed), x, min(options.pseudo_inputs, len(x)))
+    z = centres(np.random.default_rng(seed), x, min(pseudo_inputs, len(x)))
     start = np.log([math.sqrt(x.shape[1])] * x.shape[1] + [SIGNAL_START, NOISE_START])
-    best = _maximise(np.concatenate([start, z.ravel()]), x, y, options)
+    best = _maximise(np.concatenate([start, z.ravel()]), x, y, iterations)
     *lengths, signal, noise = np.exp(best[: x.shape[1] + 2])
     z = best[x.shape[1] + 2 :].reshape(z.shape)
     weights, factor = _posterior(x / lengths, y, z / lengths, signal, noise)
@@ -165,9 +144,16 @@ def _standard(data: np.ndarray) -> Any:
     return mean, np.where(sd > 1e-12 * (1.0 + np.abs(mean)), sd, 1.0)
 
 
-def _kernel(a: Float[np.ndarray, "A N"], b: Float[np.ndarray, "B N"]) -> Float[np.ndarray, "A B"]:
-    """exp(−½ |a − b|²)."""
-    return np.exp(-0.5 * np.square(a[:, None] - b).sum(axis=-1))
+def _fitc(lib: Any, solve: Callable[..., Any], x: Any, z: Any, signal: Any, noise: Any) -> Any:
+    """L with L Lᵀ = K, V = L⁻¹ k(Z, X), and Λ + σ² as a vector, in NumPy or JAX; inputs over their lengthscales."""
+
+    def kernel(a: Any, b: Any) -> Any:
+        squared = lib.sum(a * a, -1)[:, None] + lib.sum(b * b, -1) - 2.0 * a @ b.T
+        return signal * lib.exp(-0.5 * lib.maximum(squared, 0.0))
+
+    root = lib.linalg.cholesky(kernel(z, z) + JITTER * signal * lib.eye(len(z)))
+    v = solve(root, kernel(z, x), lower=True)
+    return root, v, lib.maximum(signal - lib.sum(v * v, 0), 0.0) + noise
 
 
 def _posterior(
@@ -176,9 +162,8 @@ def _posterior(
     """A⁻¹ Σ_n k_n y_n / λ_n, and U with Uᵀ U = K⁻¹ − A⁻¹; inputs over their lengthscales."""
     from scipy.linalg import solve_triangular
 
-    root = np.linalg.cholesky(signal * (_kernel(z, z) + JITTER * np.eye(len(z))))  # L
-    v = solve_triangular(root, signal * _kernel(z, x), lower=True)
-    scaled = v / (np.maximum(signal - np.square(v).sum(axis=0), 0.0) + noise)
+    root, v, diagonal = _fitc(np, solve_triangular, x, z, signal, noise)
+    scaled = v / diagonal
     inner = np.eye(len(z)) + scaled @ v.T  # B = L⁻¹ A L⁻ᵀ
     weights = solve_triangular(root, np.linalg.solve(inner, scaled @ y), lower=True, trans="T")
     shares, axes = np.linalg.eigh(inner)
@@ -213,14 +198,7 @@ def negative_log_likelihood(vector: Any, x: Any, y: Any) -> Any:
     inputs = x.shape[-1]
     lengths, signal, noise = jnp.exp(vector[:inputs]), *jnp.exp(vector[inputs : inputs + 2])
     z = vector[inputs + 2 :].reshape(-1, inputs) / lengths
-
-    def kernel(a: Any, b: Any) -> Any:
-        squared = jnp.sum(a * a, -1)[:, None] + jnp.sum(b * b, -1) - 2.0 * a @ b.T
-        return signal * jnp.exp(-0.5 * jnp.maximum(squared, 0.0))
-
-    root = jnp.linalg.cholesky(kernel(z, z) + JITTER * signal * jnp.eye(len(z)))
-    v = solve_triangular(root, kernel(z, x / lengths), lower=True)
-    diagonal = jnp.maximum(signal - jnp.sum(v * v, 0), 0.0) + noise
+    _, v, diagonal = _fitc(jnp, solve_triangular, x / lengths, z, signal, noise)
     scaled = v / diagonal
     inner = jnp.linalg.cholesky(jnp.eye(len(z)) + scaled @ v.T)
     explained = solve_triangular(inner, scaled @ y, lower=True)
@@ -237,7 +215,7 @@ def _value_and_gradient() -> Callable[..., Any]:
 
 
 def _maximise(
-    start: Float[np.ndarray, " K"], x: Float[np.ndarray, "W N"], y: Float[np.ndarray, " W"], options: SparseGPOptions
+    start: Float[np.ndarray, " K"], x: Float[np.ndarray, "W N"], y: Float[np.ndarray, " W"], iterations: int
 ) -> Float[np.ndarray, " K"]:
     """Where L-BFGS ends from start, on the negative log marginal likelihood per number."""
     double_precision = jax_in_one_thread().enable_x64(True)
@@ -255,6 +233,6 @@ def _maximise(
     with double_precision:  # the caller's own setting comes back after it
         found = minimize(
             cost, start, jac=True, method="L-BFGS-B", bounds=Bounds(*ranges.T),
-            options={"maxiter": options.iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-7},
+            options={"maxiter": iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-7},
         )  # fmt: skip
     return np.asarray(found.x)

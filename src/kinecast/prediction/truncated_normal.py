@@ -26,38 +26,13 @@ SQRT_HALF = math.sqrt(0.5)
 SQRT_HALF_PI = math.sqrt(0.5 * math.pi)
 
 SMALLEST = 5e-324
-"""The smallest number above zero."""
+"""The smallest number above zero: stands for a probability that has underflowed."""
 SERIES_START = 10.0
 """Distance [sd] from which 20 terms of the asymptotic series of M are exact to double precision."""
 SHORT_STEP = 1e-4
 """Step t [sd] below which log S is taken from three terms of its Taylor series: exact to 1e-12."""
 NARROW = 1e-5
 """Width [sd] below which a normal around its mean is flat, to 1e-11."""
-NEAR = 6.0
-"""Distance [sd] of the bounds' interval from the mean up to which Φ itself is used for a draw: no underflow there."""
-
-# fmt: off
-# Coefficients of AS 241 (PPND16), highest power first: numerator, denominator.
-CENTRE = (
-    (2509.0809287301226727, 33430.575583588128105, 67265.770927008700853, 45921.953931549871457,
-     13731.693765509461125, 1971.5909503065514427, 133.14166789178437745, 3.387132872796366608),
-    (5226.495278852854561, 28729.085735721942674, 39307.89580009271061, 21213.794301586595867,
-     5394.1960214247511077, 687.1870074920579083, 42.313330701600911252, 1.0),
-)
-SHOULDER = (
-    (7.7454501427834140764e-4, 0.0227238449892691845833, 0.24178072517745061177, 1.27045825245236838258,
-     3.64784832476320460504, 5.7694972214606914055, 4.6303378461565452959, 1.42343711074968357734),
-    (1.05075007164441684324e-9, 5.475938084995344946e-4, 0.0151986665636164571966, 0.14810397642748007459,
-     0.68976733498510000455, 1.6763848301838038494, 2.05319162663775882187, 1.0),
-)
-TAIL = (
-    (2.01033439929228813265e-7, 2.71155556874348757815e-5, 0.0012426609473880784386, 0.026532189526576123093,
-     0.29656057182850489123, 1.7848265399172913358, 5.4637849111641143699, 6.6579046435011037772),
-    (2.04426310338993978564e-15, 1.4215117583164458887e-7, 1.8463183175100546818e-5, 7.868691311456132591e-4,
-     0.0148753612908506148525, 0.13692988092273580531, 0.59983220655588793769, 1.0),
-)
-# fmt: on
-
 MAX_ITERATIONS = 20
 """The solver needs two to four steps; this only guards against NaN."""
 
@@ -131,30 +106,6 @@ def tail_offset(c: float, loss: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _ratio(r: float, above: tuple, below: tuple) -> float:
-    """The ratio of two polynomials of r, coefficients from the highest power down."""
-    numerator, denominator = 0.0, 0.0
-    for k in range(8):
-        numerator = numerator * r + above[k]
-        denominator = denominator * r + below[k]
-    return numerator / denominator
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _lower_quantile(p: float) -> float:
-    """The c ≥ 0 with Φ(−c) = p for p in (0, 0.5], to 1e-15: Wichura's AS 241, Applied Statistics 37 (1988).
-
-    p = 0 is what has underflowed: the smallest number there is.
-    """
-    if p >= 0.075:
-        return (0.5 - p) * _ratio(0.180625 - (0.5 - p) * (0.5 - p), *CENTRE)
-    r = math.sqrt(-math.log(max(p, SMALLEST)))
-    return _ratio(r - 1.6, *SHOULDER) if r <= 5.0 else _ratio(r - 5.0, *TAIL)
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
 def _tilt(x: float, near: float, mean: float, sd: float) -> float:
     """log p(x) − log p(near) = −[(x − μ)² − (near − μ)²] / 2σ², without cancellation."""
     t = (x - near) / sd
@@ -191,20 +142,19 @@ def sample(uniform: float, mean: float, sd: float, lower: float, upper: float) -
     """
     if sd <= 0.0 or lower >= upper:
         return _nearest(mean, lower, upper)
-    width = (upper - lower) / sd
-    rest = 1.0 - uniform
-    a = (lower - mean) / sd
-    b = (upper - mean) / sd
-    if width >= NARROW and not (a > NEAR or b < -NEAR):
-        above = 0.5 * (rest * math.erfc(a * SQRT_HALF) + uniform * math.erfc(b * SQRT_HALF))  # 1 − Φ at the draw
-        below = 0.5 * (rest * math.erfc(-a * SQRT_HALF) + uniform * math.erfc(-b * SQRT_HALF))
-        x = mean - sd * _lower_quantile(below) if below < above else mean + sd * _lower_quantile(above)
-    elif mean <= lower:
+    rest, width = 1.0 - uniform, (upper - lower) / sd
+    a, b = (lower - mean) / sd, (upper - mean) / sd
+    if a >= 0.0:
         x = lower + sd * tail_offset(a, _loss(uniform, rest, log_survival(a, width)))
-    elif mean >= upper:
+    elif b <= 0.0:
         x = upper - sd * tail_offset(-b, _loss(rest, uniform, log_survival(-b, width)))
-    else:
+    elif width < NARROW:
         x = lower + uniform * (upper - lower)
+    else:
+        above = rest * math.erfc(a * SQRT_HALF) + uniform * math.erfc(b * SQRT_HALF)  # 2 (1 − Φ) at the draw
+        below = rest * math.erfc(-a * SQRT_HALF) + uniform * math.erfc(-b * SQRT_HALF)
+        away = sd * tail_offset(0.0, -math.log(max(min(above, below), SMALLEST)))
+        x = mean - away if below < above else mean + away
     return _nearest(x, lower, upper)
 
 

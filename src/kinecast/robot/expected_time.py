@@ -9,6 +9,7 @@ and for how long, not by how far it keeps from anybody. After Pellegrinelli et a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import no_type_check
 
@@ -50,6 +51,11 @@ class TravelTime:
     def quantile(self, level: float) -> float:
         """Not exceeded with this probability [s]."""
         return float(np.quantile(self.samples, level))
+
+    def with_errors(self, shares: Sequence[float]) -> TravelTime:
+        """Each sample with each of the errors that such times had, equally likely shares of the nominal time."""
+        samples = self.samples[:, None] + self.nominal * np.asarray(shares)
+        return TravelTime(self.nominal, np.sort(np.maximum(samples, 0.0).ravel()))
 
     def priced(self, risk: float) -> float:
         """Expected time, plus `risk` times what the slowest tenth takes longer than that (CVaR) [s]."""

@@ -27,8 +27,6 @@ LONG_ENOUGH = 0.25
 """A standstill on the way is a stop from this duration on [s]."""
 SOON, NEAR = 1.0, 0.27
 """A person did reach for a cube if a wrist came this near to it [m], hand and fingers included, within so long [s]."""
-NEARLY = 0.2
-"""Two steps of the roll-out (kinecast.robot.motions.STEP) [s]."""
 ON_THE_WAY = {RobotState.WAITING, RobotState.STOPPED, RobotState.REPLANNING}
 EVERY = 5
 """Control steps between two rows of the timeline in episode.json: 25 a second."""
@@ -54,7 +52,7 @@ class Outcome:
     planning_p99: float
     forecasts: int  # how many times of ways were foretold and came out
     forecast_error: float  # median of their relative errors
-    forecast_held: float  # share of them within the 90 % interval that was foretold, or `NEARLY` of it
+    forecast_held: float  # share of them within the 90 % interval that was foretold
 
     def plain(self) -> dict[str, Any]:
         """As `simulate` writes it to outcome.json."""
@@ -93,7 +91,7 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
         1e3 * np.percentile(seconds or [np.nan], [50, 99]) for seconds in (episode.latencies, episode.plannings)
     )
     took, mean, low, high = np.array(episode.forecasts or [(np.nan,) * 4]).T
-    held = (low - NEARLY <= took) & (took <= high + NEARLY)
+    held = (low <= took) & (took <= high)
     return Outcome(
         result=f"without {', '.join(missing)}" if missing else "done",
         contacts=len(runs(distance <= 0)),

@@ -358,7 +358,7 @@ class Supervisor:
     def _adopt(self, choice: Choice, now: float) -> None:
         """Follows a new path."""
         assert choice.plan is not None
-        self._choice, self._foretold = choice, (now - choice.wait, choice.time)
+        self._choice, self._foretold = choice, (now - choice.wait, choice.foretold)
         self._follow(choice.plan.trajectory)
 
     def _no_way(self, reason: str, now: float) -> None:

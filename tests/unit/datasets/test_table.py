@@ -208,10 +208,9 @@ def test_a_joint_the_metadata_does_not_name_is_refused(tmp_path: Path, recording
         table.load(path)
 
 
-@pytest.mark.parametrize("name", ["a.parquet", "a.csv"])
-def test_without_the_extra_csv_works_and_parquet_names_it(tmp_path: Path, recording: Recording, name: str) -> None:
+def test_without_the_extra_csv_works_and_parquet_names_it(tmp_path: Path, recording: Recording) -> None:
     table.write(tmp_path / "there.parquet", [recording])
-    script = f"""
+    script = """
 import sys
 sys.modules["pyarrow"] = None
 from pathlib import Path
@@ -220,7 +219,9 @@ from kinecast.datasets.loading import load
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.errors import MissingExtraError
 people = generate(SyntheticOptions(subjects=1, recordings=1, duration=1.0), seed=0)
-for step in (lambda: table.write(Path({name!r}), people), lambda: load({"there.parquet" if "q" in name else name!r})):
+table.write(Path("a.csv"), people)
+assert len(load("a.csv")) == 1
+for step in (lambda: table.write(Path("a.parquet"), people), lambda: load("there.parquet")):
     try:
         step()
     except MissingExtraError as error:
@@ -228,8 +229,7 @@ for step in (lambda: table.write(Path({name!r}), people), lambda: load({"there.p
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    expected = "parquet needs optional packages: pip install 'kinecast[parquet]'\n" * 2
-    assert done.stdout == (expected if name == "a.parquet" else "")
+    assert done.stdout == "parquet needs optional packages: pip install 'kinecast[parquet]'\n" * 2
 
 
 def test_damaged_parquet_is_refused(tmp_path: Path, recording: Recording) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import io
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -20,9 +19,8 @@ from kinecast.evaluation.plots import (
     figure_svg,
     method_style,
     plot_coverage,
-    plot_coverage_by_horizon,
-    plot_error_by_horizon,
     plot_nll_histograms,
+    plot_over_horizon,
     plot_violations,
     save_figure,
 )
@@ -35,11 +33,11 @@ def charts(names: tuple[str, ...]) -> dict[str, Figure]:
     rng = np.random.default_rng(0)
     steps = {name: [10.0, None, 30.0 + k] for k, name in enumerate(names)}
     return {
-        "error": plot_error_by_horizon(steps, 0.5),
-        "steps": plot_error_by_horizon(steps),
+        "error": plot_over_horizon(steps, 0.5, "error"),
+        "steps": plot_over_horizon(steps, None, "error"),
         "nll": plot_nll_histograms({name: rng.standard_normal(25) - k for k, name in enumerate(names)}),
         "coverage": plot_coverage({name: {"0.5": 0.4, "0.9": None, "0.99": 0.98} for name in names}),
-        "coverage by step": plot_coverage_by_horizon({name: [0.8, None, 0.9] for name in names}, 0.5),
+        "coverage by step": plot_over_horizon({name: [80.0, None, 90.0] for name in names}, 0.5, "inside", 90.0),
         "violations": plot_violations(
             {name: {"position": 0.01, "speed": None, "scene": 0.0} for name in names}, {"position": 0.02}
         ),
@@ -85,23 +83,13 @@ def test_nothing_to_draw_is_an_empty_chart() -> None:
         ElementTree.fromstring(figure_svg(figure, "empty"))
     nothing = {"kinecast": np.full(3, np.nan)}
     ElementTree.fromstring(figure_svg(plot_nll_histograms(nothing), "no scores"))
-    ElementTree.fromstring(figure_svg(plot_error_by_horizon({"kinecast": [None]}), "no errors"))
+    ElementTree.fromstring(figure_svg(plot_over_horizon({"kinecast": [None]}, None, "error"), "no errors"))
 
 
 def test_one_value_and_equal_values_have_histograms() -> None:
     figure = plot_nll_histograms({"ridge": np.array([2.0]), "kalman": np.full(5, -1.0)}, {"ridge": np.nan})
     assert "2.00 ± 0.00" in figure_svg(figure, "nll")
     assert figure.axes[1].get_xlim()[1] > 0.005  # not the 1e-16 by which equal numbers differ
-
-
-def test_names_of_lines_do_not_overlap() -> None:
-    """Nine lines that end in the same place: their names are at least a line's height apart."""
-    figure = plot_error_by_horizon({f"method_{k}": [1.0, 50.0 + 0.01 * k] for k in range(9)}, 0.5)
-    save = io.BytesIO()
-    figure.savefig(save, format="svg")  # lays it out
-    boxes = sorted(text.get_window_extent().y0 for text in figure.axes[0].texts)
-    assert len(boxes) == 9
-    assert np.diff(boxes).min() > 10  # pixels at 100 dpi, of letters 9.5 points high
 
 
 def test_looks_are_settled_and_tell_methods_apart() -> None:

@@ -122,7 +122,8 @@ def test_boxes_move(motion: str) -> None:
         ),
         ("a: &x [1]\nb: *x", r"line 2: aliases"),
         ("a: " + "[" * 5000, r"line 1: nested deeper than 8 levels"),
-        ("a: " + "9" * 5000, r"not valid YAML"),
+        ("a: " + "9" * 5000, r"line 1: a whole number of 5000 digits"),
+        ("table: {height: 0x" + "F" * 5000 + "}", r"line 1: a whole number of 5002 digits"),
         ("table: {height: 1}\n---\ntable: {height: 2}", r"not valid YAML: but found another document"),
     ],
 )

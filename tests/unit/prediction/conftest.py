@@ -13,11 +13,11 @@ from kinecast.body.posture import points_from_postures
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.pipeline import training_windows
+from kinecast.prediction import paper
 from kinecast.prediction.method import Method
-from kinecast.prediction.methods import METHODS, TrainingOptions, train
+from kinecast.prediction.methods import METHODS, train
 from kinecast.prediction.observation import Observation, TrainingWindows
 
-OPTIONS = TrainingOptions(pseudo_inputs=8, iterations=10, points=200, descent=20)
 OWN = ("kinecast", "mixer", "mixer_constrained")
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -40,15 +40,12 @@ def windows() -> TrainingWindows:
 
 
 @pytest.fixture(scope="session")
-def options() -> TrainingOptions:
-    """Options under which all methods train in seconds."""
-    return OPTIONS
-
-
-@pytest.fixture(scope="session")
 def trained(windows: TrainingWindows) -> dict[str, Method[Any]]:
     """Every method but the horizon model and the neural forecaster, which have tests of their own."""
-    return train([name for name in METHODS if name not in OWN], windows, OPTIONS)
+    with pytest.MonkeyPatch.context() as patch:  # trained in seconds
+        for name, value in (("PSEUDO_INPUTS", 8), ("ITERATIONS", 10), ("POINTS", 200)):
+            patch.setattr(paper, name, value)
+        return train([name for name in METHODS if name not in OWN], windows)
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from kinecast.body.limits import AngleLimit, JointLimits, bounds
 from kinecast.body.posture import ANGLES, points_from_postures, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import ConstantVelocity, HalfSpace, MovingObstacle, Sphere
-from kinecast.prediction.constraint import LEAST, ConstraintFactor
+from kinecast.prediction.density import LEAST, ConstraintFactor
 from kinecast.prediction.noise import angle_noise
 from kinecast.prediction.observation import Observation
 

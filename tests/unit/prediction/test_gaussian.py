@@ -20,7 +20,6 @@ from kinecast.prediction.gaussian import (
     PostureGaussian,
     posture_examples,
     residual_factor,
-    residual_moment,
     with_noise,
 )
 from kinecast.prediction.linear import zero_velocity
@@ -50,7 +49,7 @@ def test_residual_covariance_is_that_of_errors_on_left_out_folds() -> None:
         seen.append(set(inside.tolist()))
         return Shift(float(fitted.mean()))
 
-    factor = residual_factor([residual_moment(fit, Examples(windows, futures, folds), fold) for fold in range(4)])
+    factor = residual_factor(fit, Examples(windows, futures, folds))
     errors = [
         futures[folds == k] - Shift(float(futures[folds != k].mean())).mean(windows[folds == k]) for k in range(4)
     ]

@@ -11,22 +11,30 @@ from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
 from kinecast.prediction.density import GaussianMixture, PoseDensity
-from kinecast.prediction.kinecast import error_model, weights
-from kinecast.prediction.kinecast.adaptive_scale import LEVEL, AdaptiveScale
-from kinecast.prediction.kinecast.error_model import CEILING, SCALES, fit_error_model, mixture_radius
+from kinecast.prediction.kinecast import error_model, fit, weights
+from kinecast.prediction.kinecast.error_model import (
+    CEILING,
+    LEVEL,
+    SCALES,
+    AdaptiveScale,
+    ErrorModel,
+    fit_error_model,
+    mixture_radius,
+)
 from kinecast.prediction.kinecast.experts import (
     DAMPED,
     TRIVIAL,
+    FeatureScale,
     Networks,
+    arm_views,
     fit_network,
     forecasts,
-    networks_from_arrays,
+    time_basis,
     trivial_experts,
+    yaw_frame,
 )
-from kinecast.prediction.kinecast.features import FeatureScale, arm_views, time_basis, yaw_frame
-from kinecast.prediction.kinecast.fit import KinecastOptions, fitting_kinecast
+from kinecast.prediction.kinecast.fit import fitting_kinecast
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, ablations, kinecast_from_arrays
-from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
 from kinecast.prediction.kinecast.weights import (
     HALF_LIVES,
     JOINT_TYPE,
@@ -34,6 +42,7 @@ from kinecast.prediction.kinecast.weights import (
     LONG_RUN,
     Gate,
     GateInputs,
+    RollingForecastErrors,
     fallback_weights,
     fit_gate,
 )
@@ -44,17 +53,22 @@ from kinecast.tasks import Progress, Serial
 
 SWAP = [3, 4, 5, 0, 1, 2]
 MIRROR = np.array([1.0, -1.0, 1.0])
-SMALL = KinecastOptions(network_steps=20, folds=2)
 NOISE = 0.002
 UNIT = (SCALES == 1.0).astype(float)
 """Weights of the common factor that is one."""
 REST = np.zeros(6)
 
 
-def fit_kinecast(windows: TrainingWindows, options: KinecastOptions, progress: Progress | None = None) -> Kinecast:
+def fit_kinecast(windows: TrainingWindows, progress: Progress | None = None) -> Kinecast:
+    """Everything descends for less long: whether it does so alike takes no more."""
     workers = Serial()
-    fitted = fitting_kinecast(workers, windows, windows, JointLimits(), NOISE, options)
-    return workers.results([fitted], progress)[0]
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, value in (
+            (fit, "NETWORK_STEPS", 20), (fit, "FOLDS", 2), (error_model, "FIT_STEPS", 100), (weights, "FIT_STEPS", 100),
+        ):  # fmt: skip
+            patch.setattr(module, name, value)
+        fitted = fitting_kinecast(workers, windows, windows, JointLimits(), NOISE, seed=0)
+        return workers.results([fitted], progress)[0]
 
 
 def card(method: Kinecast) -> ModelCard:
@@ -64,28 +78,21 @@ def card(method: Kinecast) -> ModelCard:
 
 @pytest.fixture(scope="module")
 def method(windows: TrainingWindows) -> Kinecast:
-    return fit_kinecast(windows, SMALL)
+    return fit_kinecast(windows)
 
 
 class TestTraining:
-    @pytest.fixture
-    def _short(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Gate and error model descend for less long: whether they do so alike takes no more."""
-        for module in (error_model, weights):
-            monkeypatch.setattr(module, "FIT_STEPS", 100)
-
-    @pytest.mark.usefixtures("_short")
-    def test_the_same_seed_gives_the_same_model_to_the_last_bit(self, windows: TrainingWindows) -> None:
-        once, again = (fit_kinecast(windows, SMALL).to_arrays() for _ in range(2))
-        for name, array in once.items():
-            np.testing.assert_array_equal(again[name], array, err_msg=name)
-
-    @pytest.mark.usefixtures("_short")
-    def test_another_seed_gives_another(self, method: Kinecast, windows: TrainingWindows) -> None:
+    def test_the_same_seed_gives_the_same_model_to_the_last_bit(
+        self, method: Kinecast, windows: TrainingWindows
+    ) -> None:
         told: list[tuple[int, int]] = []
-        other = fit_kinecast(windows, replace(SMALL, seed=1), lambda done, total: told.append((done, total)))
-        assert not np.array_equal(other.to_arrays()["experts.W1"], method.to_arrays()["experts.W1"])
+        again = fit_kinecast(windows, lambda done, total: told.append((done, total))).to_arrays()
+        for name, array in method.to_arrays().items():
+            np.testing.assert_array_equal(again[name], array, err_msg=name)
         assert told == [(done, told[-1][1]) for done in range(1, told[-1][1] + 1)]
+
+    def test_another_seed_gives_another(self, learned: Networks) -> None:
+        assert not np.array_equal(learned.W1[0], learned.W1[1])
 
     def test_it_is_the_same_from_its_arrays(self, method: Kinecast, observation: Observation) -> None:
         again = kinecast_from_arrays(method.to_arrays(), card(method))
@@ -122,8 +129,8 @@ class TestForecast:
 
     def test_left_and_right_are_the_same_in_a_mirror(self, method: Kinecast, observation: Observation) -> None:
         swapped = observation.positions[:, SWAP] * MIRROR
-        one = forecasts(method.mixture.experts, observation.positions[None], method.steps)[0]
-        other = forecasts(method.mixture.experts, swapped[None], method.steps)[0]
+        one = forecasts(method.experts, observation.positions[None], method.steps)[0]
+        other = forecasts(method.experts, swapped[None], method.steps)[0]
         np.testing.assert_allclose(other, one[:, :, SWAP] * MIRROR, atol=1e-9)
 
     def test_noise_given_by_the_camera_widens_it(self, method: Kinecast, observation: Observation) -> None:
@@ -220,6 +227,10 @@ def lines(seed: int, count: int = 240) -> tuple[np.ndarray, np.ndarray]:
     return track[:, :6], track[:, 6:]
 
 
+def restored(arrays: dict[str, np.ndarray]) -> Networks:
+    return Networks.from_arrays(arrays, scale=FeatureScale.from_arrays(arrays, "scale."))
+
+
 @pytest.fixture(scope="module")
 def learned() -> Networks:
     """Two networks, fitted to straight lines."""
@@ -280,11 +291,11 @@ class TestExperts:
     def test_they_come_back_from_their_arrays(self, learned: Networks) -> None:
         observed, _ = lines(6, 5)
         arrays = learned.to_arrays()
-        again = networks_from_arrays(arrays)
+        again = restored(arrays)
         np.testing.assert_array_equal(forecasts(again, observed, 3), forecasts(learned, observed, 3))
         del arrays["scale.pose_mean"]
         with pytest.raises(ModelError, match=r"scale\.pose_mean"):
-            networks_from_arrays(arrays)
+            restored(arrays)
 
 
 class TestGate:
@@ -320,9 +331,14 @@ def heavy_tailed(seed: int, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
     return errors, features
 
 
+@pytest.fixture(scope="module")
+def model() -> ErrorModel:
+    """Fitted to heavy-tailed errors."""
+    return fit_error_model(*heavy_tailed(0))
+
+
 class TestErrorModel:
-    def test_regions_hold_what_they_say_on_new_errors(self) -> None:
-        model = fit_error_model(*heavy_tailed(0))
+    def test_regions_hold_what_they_say_on_new_errors(self, model: ErrorModel) -> None:
         errors, features = heavy_tailed(1)
         steps, turns = np.arange(3), np.broadcast_to(np.eye(3), (3, 3, 3))
         z = []
@@ -338,14 +354,16 @@ class TestErrorModel:
         spread = np.reshape(z, (-1, 3)).std(axis=0)
         np.testing.assert_allclose(spread / spread.mean(), 1.0, atol=0.1)  # the axes' own sizes are gone
 
-    def test_the_scale_follows_its_feature(self) -> None:
-        model = fit_error_model(*heavy_tailed(2))
+    def test_the_scale_follows_its_feature(self, model: ErrorModel) -> None:
         low, high = (model.scale(np.tile([1.0, value], (6, 1))) for value in (-1.0, 1.0))
         np.testing.assert_allclose(np.log(high / low), 2.0, atol=0.15)
         highest = model.scale(np.tile([1.0, 1e3], (6, 1))) * np.cbrt(np.linalg.det(model.shape[JOINT_TYPE])).T
         np.testing.assert_allclose(highest, CEILING * model.reach[JOINT_TYPE].T)  # and knows a ceiling
 
-    def test_every_number_keeps_unit_spread_and_whole_motions_hang_together(self) -> None:
+    def test_every_number_keeps_unit_spread_and_whole_motions_hang_together(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(error_model, "FIT_STEPS", 20)  # of the scale, which is not looked at
         rng = np.random.default_rng(3)
         errors = 0.02 * (rng.standard_normal((800, 1, 6, 3)) + 0.1 * rng.standard_normal((800, 5, 6, 3)))
         model = fit_error_model(errors, np.ones((800, 6, 1)))

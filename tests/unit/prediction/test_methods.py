@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.methods import (
     METHODS,
     SHIPPED,
-    TrainingOptions,
     card_of,
     check_names,
     limits_of,
@@ -45,15 +43,15 @@ def test_every_name_makes_its_method(trained: dict[str, Method[Any]], windows: T
 
 
 def test_constrained_methods_hold_limits_widened_to_the_training_postures(
-    trained: dict[str, Method[Any]], windows: TrainingWindows, options: TrainingOptions
+    trained: dict[str, Method[Any]], windows: TrainingWindows
 ) -> None:
-    limits = limits_of(windows, options)
+    limits = limits_of(windows)
     for name in ("kalman_constrained", "ridge_constrained", "gp_constrained"):
         assert trained[name].limits == limits
         assert trained[name].noise == sensor_noise(windows)
-    narrow = replace(options, limits=JointLimits(elbow=AngleLimit(1.0, 1.01, 12.0)))
-    elbows = postures_from_points(windows.points, continuous=True)[:, -1, [9, 15]]
-    wide = limits_of(windows, narrow).elbow
+    postures = postures_from_points(windows.points, continuous=True)[:, -1]
+    elbows = postures[:, [9, 15]]
+    wide = JointLimits(elbow=AngleLimit(1.0, 1.01, 12.0)).widened(postures).elbow
     assert wide.lower < np.quantile(elbows, 0.01)
     assert wide.upper > np.quantile(elbows, 0.99)
     assert wide.speed == 12.0
@@ -67,7 +65,7 @@ def test_free_and_constrained_share_one_fit(trained: dict[str, Method[Any]], bas
 
 
 def test_training_is_repeatable(windows: TrainingWindows, trained: dict[str, Method[Any]]) -> None:
-    again = train(["damped_velocity", "ridge"], windows, TrainingOptions())
+    again = train(["damped_velocity", "ridge"], windows)
     for name, method in again.items():
         for array, values in method.to_arrays().items():
             np.testing.assert_allclose(values, trained[name].to_arrays()[array], atol=1e-12)
@@ -96,7 +94,7 @@ def test_predictions_beat_guessing(trained: dict[str, Method[Any]], windows: Tra
 
 def test_too_little_data_is_refused(windows: TrainingWindows) -> None:
     with pytest.raises(ModelError, match="49 training windows; at least 50"):
-        train(["zero_velocity"], windows.take(np.arange(49)), TrainingOptions())
+        train(["zero_velocity"], windows.take(np.arange(49)))
 
 
 @pytest.mark.parametrize("names", [[], ["zero"], ["ridge", "gp"]])
@@ -105,16 +103,14 @@ def test_unknown_names_are_refused_with_those_that_are(names: list[str]) -> None
         check_names(names)
 
 
-def test_a_card_says_what_the_model_is(
-    trained: dict[str, Method[Any]], windows: TrainingWindows, options: TrainingOptions
-) -> None:
-    card = card_of("ridge", trained["ridge"], windows, options, "reaching", ["a"], ["MIT"])
+def test_a_card_says_what_the_model_is(trained: dict[str, Method[Any]], windows: TrainingWindows) -> None:
+    card = card_of("ridge", trained["ridge"], windows, "reaching", ["a"], ["MIT"])
     assert (card.method, card.frames, card.steps) == ("ridge", 6, 3)
     assert card.rate == pytest.approx(30.0)
     assert card.dt == pytest.approx(windows.dt)
     assert card.windows == len(windows)
     assert (card.label, card.trained_on, card.notes) == ("reaching", ("a",), ("MIT",))
-    assert card.limits == limits_of(windows, options)
+    assert card.limits == limits_of(windows)
 
 
 def test_the_shipped_models_can_be_read_and_predict() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,7 @@ def test_it_comes_back_from_its_arrays(mixer: Mixer) -> None:
 def test_its_gaussian_is_held_inside_limits_and_the_mean_is_not_moved(mixer: Mixer, posed: Observation) -> None:
     free = PositionGaussian(FRAMES, STEPS, posed.dt, mixer, 0.05 * np.eye(18 * STEPS), 0.002)
     limits = JointLimits()
-    held = free.with_limits(limits)
+    held = replace(free, limits=limits)
     forecast = forecast_in_scene(held, None, posed, np.random.default_rng(0), 200, None)
     initial = postures_from_points(posed.points, continuous=True)[-1]
     postures = postures_from_points(posed.to_torso(forecast.samples), initial, continuous=True, usual=False)

@@ -20,7 +20,7 @@ from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.errors import KinecastError, ModelError
 from kinecast.prediction import model_file
 from kinecast.prediction.method import Method, forecast_in_scene
-from kinecast.prediction.methods import TrainingOptions, card_of, read_method, save_method
+from kinecast.prediction.methods import card_of, read_method, save_method
 from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
 from kinecast.prediction.observation import Observation, TrainingWindows
 
@@ -59,13 +59,12 @@ def with_card(path: Path, arrays: dict[str, np.ndarray], **changes: object) -> P
 def test_every_method_forecasts_the_same_once_read_back(
     trained: dict[str, Method[Any]],
     windows: TrainingWindows,
-    options: TrainingOptions,
     observation: Observation,
     tmp_path: Path,
 ) -> None:
     truth = windows.future[60]
     for name, method in trained.items():
-        card = card_of(name, method, windows, options, "reaching", ["a", "b"], ["MIT"])
+        card = card_of(name, method, windows, "reaching", ["a", "b"], ["MIT"])
         path = tmp_path / f"{name}.npz"
         save_method(path, card, method)
         read, again = read_method(path)
@@ -254,12 +253,12 @@ def test_cards_that_do_not_fit(
 
 
 def test_arrays_that_do_not_fit_their_method(
-    trained: dict[str, Method[Any]], windows: TrainingWindows, options: TrainingOptions, tmp_path: Path
+    trained: dict[str, Method[Any]], windows: TrainingWindows, tmp_path: Path
 ) -> None:
     path = tmp_path / "m.npz"
     for name in ("kalman", "ridge", "ridge_constrained", "gp_xyz", "gp_constrained"):
         method = trained[name]
-        card = card_of(name, method, windows, options, "", [])
+        card = card_of(name, method, windows, "", [])
         for array, values in method.to_arrays().items():
             wrong = {"missing": None, "shorter": values[..., :-1], "flat": values.ravel()[:1], "deeper": values[None]}
             for change, replacement in wrong.items():
@@ -284,7 +283,6 @@ def test_arrays_that_do_not_fit_their_method(
 def test_spreads_that_are_not_above_zero_are_refused(
     trained: dict[str, Method[Any]],
     windows: TrainingWindows,
-    options: TrainingOptions,
     tmp_path: Path,
     name: str,
     array: str,
@@ -292,7 +290,7 @@ def test_spreads_that_are_not_above_zero_are_refused(
     arrays = trained[name].to_arrays()
     write_model_file(
         tmp_path / "m.npz",
-        card_of(name, trained[name], windows, options, "", []),
+        card_of(name, trained[name], windows, "", []),
         {**arrays, array: 0.0 * arrays[array]},
     )
     with pytest.raises(ModelError, match=array):

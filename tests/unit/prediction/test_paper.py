@@ -26,7 +26,9 @@ def test_limits_and_scene_that_never_bind_leave_law_and_density(
 ) -> None:
     free = forecast_in_scene(trained["gp_angles"], None, posed, np.random.default_rng(0), 300, None)
     far = Scene((Sphere(np.array([9.0, 9.0, 9.0]), 0.1),))
-    held = forecast_in_scene(trained["gp_angles"].with_limits(LOOSE), None, posed, np.random.default_rng(0), 300, far)
+    held = forecast_in_scene(
+        replace(trained["gp_angles"], limits=LOOSE), None, posed, np.random.default_rng(0), 300, far
+    )
     np.testing.assert_array_equal(held.samples, free.samples)
     assert held.accepted_fraction == 1.0
     assert held.effective_sample_size == 300

@@ -11,7 +11,7 @@ from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Chooser, Option, Request
 from kinecast.robot.execution import Executor
-from kinecast.robot.expected_time import travel_time
+from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import AHEAD, STEP, Motions, PoseHistory, likely, motions_of
 from kinecast.robot.pick_place import GraspConfigurations, Step
 from kinecast.robot.planner import NoPlan, Planner
@@ -58,6 +58,12 @@ def test_the_nearer_somebody_stands_the_longer_it_takes(arm: UR5) -> None:
     assert np.all(np.diff(means) >= 0)
     assert means[0] == pytest.approx(2.0)
     assert means[-1] >= AHEAD, "who stands in the way holds it for as long as anything is known"
+
+
+def test_errors_are_shares_of_the_time_with_nobody_there() -> None:
+    time = TravelTime(4.0, np.array([4.0, 5.0])).with_errors((-0.1, 0.0, 0.3))
+    assert time.nominal == 4.0
+    np.testing.assert_allclose(time.samples, [3.6, 4.0, 4.6, 5.0, 5.2, 6.2])
 
 
 def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:

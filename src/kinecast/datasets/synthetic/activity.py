@@ -13,17 +13,10 @@ from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 
 LEFT, RIGHT = 0, 1
-WRIST_ABOVE_TABLE = 0.08
-"""Wrists stay this far above the table, the length of a bent hand [m]."""
-
-SHORTEST = 0.4
-"""No movement takes less time [s]."""
-
-HANDLE = 0.13
-"""From the middle of the crate to each hand [m]."""
-
-PEAK = 1.875
-"""Peak over mean speed of a minimum-jerk movement: s'(1/2) = 15/8."""
+WRIST_ABOVE_TABLE = 0.08  # wrists stay this far above the table, the length of a bent hand [m]
+SHORTEST = 0.4  # no movement takes less time [s]
+HANDLE = 0.13  # from the middle of the crate to each hand [m]
+PEAK = 1.875  # peak over mean speed of a minimum-jerk movement: s'(1/2) = 15/8
 
 Point: TypeAlias = Float[np.ndarray, " D"]
 Phase: TypeAlias = Float[np.ndarray, "*n"]

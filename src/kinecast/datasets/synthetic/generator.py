@@ -20,12 +20,9 @@ from kinecast.geometry.shapes import Box, Sphere
 
 BREATHING_TIME = 0.83
 """Correlation time of the common bone length [s]; HA4M: 0.96, 0.67, 0.26 after 1, 10, 30 frames at 30 Hz."""
-LARGEST_JUMP = 24.0
-"""Fastest tracker jump [m/s], HA4M V001."""
-SWAPPED = 0.3
-"""Share of jumps that exchange left and right for a moment; HA4M V001 at 34.1 s."""
-LOST_FRAMES = 5.0
-"""Mean length of a dropout, in frames."""
+LARGEST_JUMP = 24.0  # fastest tracker jump [m/s], HA4M V001
+SWAPPED = 0.3  # share of jumps that exchange left and right for a moment; HA4M V001 at 34.1 s
+LOST_FRAMES = 5.0  # mean length of a dropout, in frames
 
 
 def _option(default: int | float, low: int | float, high: int | float) -> Any:
@@ -37,10 +34,8 @@ def _option(default: int | float, low: int | float, high: int | float) -> Any:
 class SyntheticOptions:
     """Options of `generate`, OptionError outside their ranges. The sensor's defaults are what two HA4M clips show."""
 
-    subjects: int = _option(4, 1, 10_000)
-    """How many people, each with an own build, tempo and handedness."""
-    recordings: int = _option(3, 1, 10_000)
-    """Per person; the tasks pick_and_place, carrying, reaching take turns."""
+    subjects: int = _option(4, 1, 10_000)  # how many people, each with an own build, tempo and handedness
+    recordings: int = _option(3, 1, 10_000)  # per person; the tasks pick_and_place, carrying, reaching take turns
     duration: float = _option(20.0, 0.1, 3600.0)  # of each recording [s]
     rate: float = _option(30.0, 1.0, 1000.0)  # frames per second [Hz]
     table_height: float = _option(0.9, 0.8, 0.9)

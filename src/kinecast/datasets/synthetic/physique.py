@@ -17,11 +17,8 @@ JOINTS = (*ARM_JOINTS, "neck", "head", "pelvis", "chest")
 HANGING = np.array([-1.0, 0.0, -1.0]) / np.sqrt(2.0)
 """Where an elbow goes that is not turned outwards: down, and back when the hand is below the shoulder."""
 
-LONGEST = 0.995
-"""An arm never gets straighter than this share of its length."""
-
-PROTRACTION = 0.03
-"""How far a shoulder slides towards a far hand [m]."""
+LONGEST = 0.995  # an arm never gets straighter than this share of its length
+PROTRACTION = 0.03  # how far a shoulder slides towards a far hand [m]
 
 Points: TypeAlias = Float[np.ndarray, "N 3"]
 Series: TypeAlias = Float[np.ndarray, " N"]

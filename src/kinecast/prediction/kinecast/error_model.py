@@ -9,16 +9,17 @@ small or large depends on the window too: who rests mostly stays, but may start.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.geometry.transforms import lengths
-from kinecast.prediction.kinecast.experts import TRIVIAL
-from kinecast.prediction.kinecast.features import MIRROR, WindowMotion
+from kinecast.prediction.descent import descend
+from kinecast.prediction.kinecast.experts import MIRROR, TRIVIAL, WindowMotion
 from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs, step_basis
 from kinecast.prediction.model_file import Arrays
 
@@ -38,6 +39,15 @@ TAIL = 4.0
 """Degrees of freedom of the Student t under which shapes are found: heavy tails do not bend them."""
 RANK = 60
 """Directions kept of the correlation between all steps and joints."""
+
+SPEEDS = (0.05, 0.3)
+"""What parts joints that rest, slow and fast ones [m/s]."""
+LEVEL = 0.8
+"""The region whose coverage `AdaptiveScale` holds."""
+RATE, FORGET = 0.1, 0.995
+"""How fast the log of its factor moves with each miss, and how fast it returns to nothing."""
+MOST = 1.5
+"""Most that the log of its factor strays from zero."""
 
 Errors: TypeAlias = Float[np.ndarray, "B T 6 3"]
 
@@ -152,6 +162,55 @@ class ErrorModel(Arrays):
         return np.linalg.inv(self._axes)
 
 
+class AdaptiveScale:
+    """Factors on the spread at each step, moved by whether the truth fell where it should (adaptive conformal).
+
+    There is one for joints that rest, for slow and for fast ones. log factor ← forget · log factor + rate · (joints
+    outside the region − (1 − level) · joints) / 6, each time a prediction comes due (Gibbs and Candès 2021, with leak).
+    """
+
+    def __init__(self, model: ErrorModel, steps: int, dt: float) -> None:
+        self._model, self._edges = model, np.array(SPEEDS) * dt
+        self._log = np.zeros((steps, len(SPEEDS) + 1))
+        self._past: deque[tuple[Any, ...] | None] = deque(maxlen=steps)
+
+    def factor(self, speed: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6"]:
+        """(T, 6) by which to multiply the spread of joints of these speeds [m per frame]."""
+        return np.exp(self._log[:, np.searchsorted(self._edges, speed)])
+
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        self._past.extend([None] * frames)
+
+    def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
+        """Judges what was predicted for this frame; NaN joints judge nothing. The newest was predicted one step ago."""
+        known = [(step, *made) for step, made in enumerate(reversed(self._past)) if made is not None]
+        if not known or not np.isfinite(pose).all():
+            return
+        due, means, scales, rotations, radii, bins = map(np.array, zip(*known, strict=True))
+        rows = np.arange(len(due))
+        z = self._model.whitened(pose - means[rows, due], scales[rows, due], rotations, due)
+        reach = radii[:, None] * np.exp(np.take_along_axis(self._log[due], bins, axis=1))
+        missed = ((z**2).sum(axis=-1) > reach**2) - (1.0 - LEVEL)
+        for k in range(self._log.shape[1]):
+            moved = self._log[due, k] + RATE * np.where(bins == k, missed, 0.0).mean(axis=1)
+            self._log[due, k] = np.clip(np.where((bins == k).any(axis=1), FORGET * moved, moved), -MOST, MOST)
+
+    def predicted(
+        self,
+        mean: Float[np.ndarray, "T 6 3"],
+        scale: Float[np.ndarray, "T 6"],
+        rotation: Float[np.ndarray, "3 3"],
+        weights: Float[np.ndarray, " K"],
+        speed: Float[np.ndarray, "6"],
+    ) -> None:
+        """Keeps what is predicted from this frame on.
+
+        Mean [m], scale, rotation of the person's axes, weights of common factors, speed of the joints [m per frame].
+        """
+        self._past.append((mean, scale, rotation, mixture_radius(weights, LEVEL), np.searchsorted(self._edges, speed)))
+
+
 def fit_error_model(errors: Errors, features: Float[np.ndarray, "B 6 F"], seed: int = 0) -> ErrorModel:
     """The error model of errors that recordings left out of training had.
 
@@ -198,11 +257,6 @@ def _most_likely(
 
     Added to the scale is what varies smoothly with the step; `unit` are errors over their shape [m].
     """
-    from kinecast.prediction.descent import descend, jax_in_one_thread
-
-    jax = jax_in_one_thread()
-    import jax.numpy as jnp
-
     steps, basis = unit.shape[1], step_basis(unit.shape[1])
     white = unit / np.exp(np.einsum("jtf,bjf->btj", slope[JOINT_TYPE], features))[..., None]
     poses = _alike(white).reshape(len(unit), steps, 18)
@@ -211,7 +265,8 @@ def _most_likely(
     correlation = covariance / spread[:, :, None] / spread[:, None] + FINEST * np.eye(18)
     decorrelate = np.linalg.inv(np.linalg.cholesky(correlation))
 
-    def loss(parameters, rows, _key):  # type: ignore[no-untyped-def]
+    def loss(jax, parameters, rows, _key):  # type: ignore[no-untyped-def]
+        jnp = jax.numpy
         more, tail = parameters
         unit, look = rows
         slopes = slope + jnp.einsum("jkf,tk->jtf", more, basis)

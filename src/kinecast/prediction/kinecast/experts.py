@@ -1,35 +1,175 @@
 """The experts: trivial predictors, and small networks that give an arm's displacements in a basis of time.
 
-They are fitted for the mean distance, not its square: that is what is scored.
+A network sees a window freed of where the person stands, faces, and how fast they move. Each arm is described from its
+own side, the right one mirrored, so that one model serves both and sees twice the data. The window's steps are divided
+by their own amplitude: slow and fast motion then obey one law, and what comes out is multiplied by it again. Networks
+are fitted for the mean distance, not its square: that is what is scored.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import ModelError
-from kinecast.prediction.kinecast.features import FeatureScale, arm_views, time_basis
+from kinecast.geometry.transforms import lengths
+from kinecast.prediction.descent import descend
 from kinecast.prediction.linear import damped, slope_weights
 from kinecast.prediction.model_file import Arrays
 
+MIRROR = np.array([1.0, -1.0, 1.0])
+LEAST_STEP = 0.004
+"""Added to the amplitude of a window [m per frame]: below it lies the sensor's noise."""
+BASIS = 6
+"""Functions of time that a displacement is made of."""
 DAMPED = ((0, 1.0), (2, 16.0), (2, np.inf), (1, 4.0), (3, 12.0), (2, 6.0))
 """Trivial experts: degree of the polynomial whose slope is the velocity (0: none), and time constant [frames]."""
 TRIVIAL = len(DAMPED)
-
-
-Features: TypeAlias = Float[np.ndarray, "V D"]
-Coefficients: TypeAlias = Float[np.ndarray, "G V C"]
 
 LEAST_MOTION = 0.02
 """Added to a window's motion [m] where its error is weighed by it."""
 WIDTH, DROPPED = 160, 0.4
 """Units of the network's layers, and the share of them left out at random while training."""
+
+
+@cache
+def time_basis(steps: int) -> Float[np.ndarray, "T K"]:
+    """(T, K) orthonormal polynomials of time that are zero now."""
+    t = np.arange(1.0, steps + 1) / steps
+    basis = np.linalg.qr(np.stack([t ** (k + 1) for k in range(min(BASIS, steps))], axis=1))[0]
+    return basis * np.sign(basis[-1])
+
+
+def yaw_frame(pose: Float[np.ndarray, "*b 6 3"]) -> Float[np.ndarray, "*b 3 3"]:
+    """Rotation with z up and y along the shoulder line's horizontal direction, from right to left (columns x, y, z)."""
+    x, y = pose[..., 0, 0] - pose[..., 3, 0], pose[..., 0, 1] - pose[..., 3, 1]
+    length = np.hypot(x, y)
+    x, y = np.where(length > 1e-6, [x, y], [np.zeros_like(x), np.ones_like(y)])  # as if facing along x
+    length = np.where(length > 1e-6, length, 1.0)
+    frame = np.zeros((*length.shape, 3, 3))
+    frame[..., 0, 0] = frame[..., 1, 1] = y / length
+    frame[..., 0, 1], frame[..., 1, 0], frame[..., 2, 2] = x / length, -(x / length), 1.0
+    return frame
+
+
+@dataclass(frozen=True)
+class ArmViews:
+    """W windows, each seen from the left arm (first half of the rows) and, mirrored, from the right (second half).
+
+    Attributes:
+        steps: (2 W, F) steps of all joints from frame to frame, over their amplitude.
+        pose: (2 W, 18) last pose about the middle of the shoulders [m].
+        level: (2 W, 2) log amplitude, and log of the jitter's share in it.
+        amplitude: (2 W,) root mean square step of the window [m per frame].
+        rotation: (W, 3, 3) yaw frame of the last pose.
+        last: (W, 6, 3) last pose, world [m].
+    """
+
+    steps: Float[np.ndarray, "V F"]
+    pose: Float[np.ndarray, "V 18"]
+    level: Float[np.ndarray, "V 2"]
+    amplitude: Float[np.ndarray, " V"]
+    rotation: Float[np.ndarray, "W 3 3"]
+    last: Float[np.ndarray, "W 6 3"]
+
+    def to_world(self, displacement: Float[np.ndarray, "E V T 3 3"]) -> Float[np.ndarray, "E W T 6 3"]:
+        """Displacements of an arm's three joints [m], arm by arm, as positions of all six in the world."""
+        left, right = displacement[:, : len(self.last)], displacement[:, len(self.last) :]
+        both = np.concatenate([left, right * MIRROR], axis=3)
+        return both @ self.rotation.transpose(0, 2, 1)[:, None] + self.last[:, None]
+
+    def to_arms(self, positions: Float[np.ndarray, "W T 6 3"]) -> Float[np.ndarray, "V T 3 3"]:
+        """World positions as displacements of each arm's joints from the last pose; the inverse of `to_world`."""
+        local = (positions - self.last[:, None]) @ self.rotation[:, None]
+        return np.concatenate([local[:, :, :3], local[:, :, 3:] * MIRROR])
+
+
+def arm_views(windows: Float[np.ndarray, "W N 6 3"]) -> ArmViews:
+    """Both arms' views of windows in the world [m], N ≥ 4."""
+    last = windows[:, -1]
+    rotation, middle = yaw_frame(last), last[:, [0, 3]].mean(axis=1, keepdims=True)
+    own = np.concatenate([np.diff(windows, axis=1), (last - middle)[:, None]], axis=1) @ rotation[:, None]
+    own = np.concatenate([own, own[:, :, [3, 4, 5, 0, 1, 2]] * MIRROR])
+    steps, pose = own[:, :-1].reshape(len(own), -1, 18), own[:, -1].reshape(len(own), 18)
+    jerk = np.diff(steps, n=2, axis=1)
+    amplitude = np.sqrt((steps**2).sum(axis=(1, 2)) / steps.shape[1] + LEAST_STEP**2)
+    jitter = np.sqrt((jerk**2).sum(axis=(1, 2)) / jerk.shape[1] + 1e-8)
+    level = np.log(np.stack([amplitude, jitter / amplitude], axis=1))
+    return ArmViews((steps / amplitude[:, None, None]).reshape(len(own), -1), pose, level, amplitude, rotation, last)
+
+
+@dataclass(frozen=True)
+class WindowMotion:
+    """How the joints moved in a window.
+
+    Attributes:
+        speed: (6,) mean length of a step [m per frame].
+        own: (6,) root mean square step [m per frame].
+        change: (6,) between the last step and the last but two [m per frame].
+        shared: root mean square step of all joints [m per frame].
+        jitter: root mean square third difference of all joints [m per frame].
+    """
+
+    speed: Float[np.ndarray, "6"]
+    own: Float[np.ndarray, "6"]
+    change: Float[np.ndarray, "6"]
+    shared: float
+    jitter: float
+
+    @staticmethod
+    def of(window: Float[np.ndarray, "N 6 3"]) -> WindowMotion:
+        """The motion of one window [m], N ≥ 4."""
+        steps = window[1:] - window[:-1]
+        square = np.einsum("njd,njd->nj", steps, steps)
+        mean = square.sum(axis=0) / len(steps)
+        jerk = (steps[2:] - 2.0 * steps[1:-1] + steps[:-2]).ravel()
+        return WindowMotion(
+            np.sqrt(square).sum(axis=0) / len(steps),
+            np.sqrt(mean + 1e-6),
+            lengths(steps[-1] - steps[-3]),
+            math.sqrt(mean.sum() / 6.0 + 1e-6),
+            math.sqrt(3.0 * float(jerk @ jerk) / len(jerk) + 1e-8),
+        )
+
+
+@dataclass(frozen=True)
+class FeatureScale(Arrays):
+    """Standardisation of the features, fitted on training windows.
+
+    Attributes:
+        steps: one spread for all steps.
+        pose_mean, pose_spread: (18,) of the last pose [m].
+        level_mean, level_spread: (2,) of the levels.
+    """
+
+    steps: float
+    pose_mean: Float[np.ndarray, "18"]
+    pose_spread: Float[np.ndarray, "18"]
+    level_mean: Float[np.ndarray, "2"]
+    level_spread: Float[np.ndarray, "2"]
+
+    @staticmethod
+    def of(views: ArmViews) -> FeatureScale:
+        """The scale of training windows."""
+        return FeatureScale(
+            float(views.steps.std(axis=0).mean()),
+            views.pose.mean(axis=0),
+            np.maximum(views.pose.std(axis=0), 0.02),
+            views.level.mean(axis=0),
+            views.level.std(axis=0) + 0.1,
+        )
+
+    def features(self, views: ArmViews) -> Float[np.ndarray, "V D"]:
+        """(V, D) steps, then pose, then levels; poses and levels never seen in training are held at the edge."""
+        pose = (views.pose - self.pose_mean) / self.pose_spread
+        level = (views.level - self.level_mean) / self.level_spread
+        held = [np.minimum(np.maximum(pose, -3.0), 3.0), np.minimum(np.maximum(level, -2.5), 2.5)]
+        return np.concatenate([views.steps / self.steps, *held], axis=1)
 
 
 @cache
@@ -73,7 +213,8 @@ class Networks(Arrays):
     def __len__(self) -> int:
         return len(self.W1)
 
-    def coefficients(self, features: Features) -> Coefficients:
+    def coefficients(self, features: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "G V C"]:
+        """(G, V, C) of the time basis, from the features of views."""
         hidden = _silu(features @ self.W1 + self.b1)
         hidden = hidden + _silu(hidden @ self.W2 + self.b2)
         return hidden @ self.W3 + self.b3 + features[:, : self.A.shape[1]] @ self.A
@@ -85,30 +226,19 @@ class Networks(Arrays):
 
     def take(self, which: Sequence[int]) -> Networks:
         """Some of the networks."""
-        return Networks(self.scale, **{name: getattr(self, name)[list(which)] for name in Networks._weights()})
+        return Networks(self.scale, *(weights[list(which)] for weights in self._weights()))
 
     @staticmethod
     def joined(parts: Sequence[Networks]) -> Networks:
         """The networks of several on one scale, in their order."""
-        joint = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Networks._weights()}
-        return Networks(parts[0].scale, **joint)
+        return Networks(parts[0].scale, *map(np.concatenate, zip(*(part._weights() for part in parts), strict=True)))
 
-    @staticmethod
-    def _weights() -> list[str]:
-        """Names of what each network has of its own."""
-        return [each.name for each in fields(Networks) if each.name != "scale"]
+    def _weights(self) -> list[np.ndarray]:
+        return [getattr(self, each.name) for each in fields(self) if each.name != "scale"]
 
 
 def _silu(x: Float[np.ndarray, "G V U"]) -> Float[np.ndarray, "G V U"]:
     return x / (1.0 + np.exp(-np.clip(x, -60.0, 60.0)))
-
-
-def networks_from_arrays(arrays: Mapping[str, np.ndarray]) -> Networks:
-    """The networks that `to_arrays` described; ModelError where an array is missing."""
-    try:
-        return Networks.from_arrays(arrays, scale=FeatureScale.from_arrays(arrays, "scale."))
-    except KeyError as error:
-        raise ModelError(f"experts without the array {error}") from None
 
 
 def fit_network(
@@ -122,8 +252,6 @@ def fit_network(
 
     The loss is the mean distance of a window over the root of its motion: fast collections do not drown slow ones.
     """
-    from kinecast.prediction.descent import descend
-
     views, basis = arm_views(observed), time_basis(future.shape[1])
     features, amplitude = scale.features(views), views.amplitude
     target = views.to_arms(future).reshape(len(features), -1, 9)
@@ -147,15 +275,8 @@ def fit_network(
     return Networks(scale, *(array[None] for array in fitted))
 
 
-def _network_loss(time: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]
-    from kinecast.prediction.descent import jax_in_one_thread
-
-    jax = jax_in_one_thread()
-    import jax.numpy as jnp
-
-    basis = jnp.asarray(time, jnp.float32)
-
-    def loss(parameters, rows, key):  # type: ignore[no-untyped-def]
+def _network_loss(basis: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]
+    def loss(jax, parameters, rows, key):  # type: ignore[no-untyped-def]
         W1, b1, W2, b2, W3, b3, A = parameters
         x, amplitude, target = rows
         first, other = jax.random.split(key)
@@ -163,14 +284,13 @@ def _network_loss(time: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-de
         def dropped(h: Any, key: Any) -> Any:
             return h * jax.random.bernoulli(key, 1.0 - DROPPED, h.shape) / (1.0 - DROPPED)
 
+        def size(e: Any) -> Any:
+            return jax.numpy.sqrt((e.reshape(len(x), -1, 3) ** 2).sum(-1) + 1e-6).mean(1)
+
         h = dropped(jax.nn.silu(x @ W1 + b1), first)
         h = h + dropped(jax.nn.silu(h @ W2 + b2), other)
         coefficients = (h @ W3 + b3 + x[:, : A.shape[0]] @ A).reshape(len(x), -1, 9)
-        error = jnp.einsum("tk,bkc->btc", basis, coefficients) * amplitude[:, None, None] - target
-        distance, motion = (
-            jnp.sqrt((e.reshape(len(x), -1) ** 2).reshape(len(x), -1, 3).sum(-1) + 1e-6).mean(1)
-            for e in (error, target)
-        )
-        return 3.0 * (distance / jnp.sqrt(motion + LEAST_MOTION)).mean()
+        error = jax.numpy.einsum("tk,bkc->btc", basis, coefficients) * amplitude[:, None, None] - target
+        return 3.0 * (size(error) / jax.numpy.sqrt(size(target) + LEAST_MOTION)).mean()
 
     return loss

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,9 @@ from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel, fit_error_model
-from kinecast.prediction.kinecast.experts import Networks, fit_network, forecasts
-from kinecast.prediction.kinecast.features import FeatureScale, arm_views, yaw_frame
-from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, Mixture, MixtureOutput
-from kinecast.prediction.kinecast.weights import Gate, fit_gate
+from kinecast.prediction.kinecast.experts import FeatureScale, Networks, arm_views, fit_network, forecasts, yaw_frame
+from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
+from kinecast.prediction.kinecast.weights import Gate, fit_gate, rolling_errors
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks import Workers, generator
 
@@ -23,6 +22,9 @@ Rows = Int[np.ndarray, " R"]
 Examples = tuple[np.ndarray, ...]
 NOISE, RECORDING_NOISE = (5e-4, 12e-3), (1e-3, 8e-3)
 """Noise of the second general network's inputs, and of the gate's noisy recordings: log-uniform [m]."""
+NETWORK_STEPS, FOLDS = 4000, 4
+"""Steps of a network's descent; parts of the data that gate and spread are fitted on, each with networks that have
+not seen it."""
 POOL = 80_000
 """Most windows that a network is trained on, drawn by their shares."""
 FOLLOWED = 48_000
@@ -31,28 +33,13 @@ SIZES = 0.15
 """People are this much larger or smaller, log-uniform."""
 
 
-@dataclass(frozen=True)
-class KinecastOptions:
-    """How the method is trained.
-
-    Attributes:
-        network_steps: of stochastic descent.
-        folds: parts of the data that gate and spread are fitted on, each with experts that have not seen it.
-        seed: of everything random.
-    """
-
-    network_steps: int = 4000
-    folds: int = 4
-    seed: int = 0
-
-
 def fitting_kinecast(
     workers: Workers,
     windows: TrainingWindows,
     data: Any,
     limits: JointLimits | None,
     noise: float,
-    options: KinecastOptions,
+    seed: int,
 ) -> Any:
     """Stands for the method `kinecast`, trained by workers.
 
@@ -66,20 +53,19 @@ def fitting_kinecast(
         data: stands for the same windows.
         limits: of the arm's angles; None for none.
         noise: spread of a measured joint about the true one [m].
-        options: see KinecastOptions.
+        seed: of everything random.
     """
-    frames, steps, dt = windows.shape
-    scale = workers.submit(_feature_scale, data, options.seed)
+    scale = workers.submit(_feature_scale, data, seed)
 
     def network(rows: Rows, noisy: bool = False) -> Any:
-        return workers.submit(_network, data, rows, scale, options, noisy)
+        return workers.submit(_network, data, rows, scale, seed, noisy)
 
     def general(rows: Rows) -> list[Any]:
         return [network(rows), network(rows, noisy=True)]
 
     collections = np.unique(windows.collection).tolist()
     own = {name: network(np.flatnonzero(windows.collection == name)) for name in collections if len(collections) > 1}
-    folds, held, followed = windows.folds(options.folds), [], _followed_recordings(windows)
+    folds, held, followed = windows.folds(FOLDS), [], _followed_recordings(windows)
     names = np.unique(folds)
     for place, name in enumerate(names):
         outside = folds == name
@@ -87,19 +73,15 @@ def fitting_kinecast(
         both = general(np.flatnonzero(inside))
         seen = set(windows.collection[inside].tolist()) - set(windows.collection[outside].tolist())
         stand_in = [fitted if each in seen else both[0] for each, fitted in own.items()]
-        mixture = workers.submit(_mixture, both + stand_in, None, frames, steps)
+        networks = workers.submit(Networks.joined, both + stand_in)
         for recording in np.unique(windows.recording[outside & followed]).tolist():
-            held.append((mixture, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
-    examples = [workers.submit(_gate_examples, *each, data, options.seed) for each in held]
-    gate = workers.submit(_gate, examples, options.seed)
-    errors = [workers.submit(_error_examples, mixture, rows, data, gate) for mixture, rows, _ in held]
-    spread = workers.submit(_error_model, errors, options.seed)
-    mixture = workers.submit(_mixture, general(np.arange(len(windows))) + list(own.values()), gate, frames, steps)
-    return workers.submit(Kinecast, mixture, spread, dt, noise, limits)
-
-
-def _mixture(networks: Sequence[Networks], gate: Gate | None, frames: int, steps: int) -> Mixture:
-    return Mixture(Networks.joined(networks), gate, frames, steps)
+            held.append((networks, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
+    examples = [workers.submit(_gate_examples, *each, data, seed) for each in held]
+    gate = workers.submit(_gate, examples, seed)
+    errors = [workers.submit(_error_examples, networks, rows, data, gate) for networks, rows, _ in held]
+    spread = workers.submit(_error_model, errors, seed)
+    networks = workers.submit(Networks.joined, general(np.arange(len(windows))) + list(own.values()))
+    return workers.submit(Kinecast, networks, gate, spread, *windows.shape, noise, limits)
 
 
 def _feature_scale(data: TrainingWindows, seed: int) -> FeatureScale:
@@ -112,14 +94,14 @@ def _drawn(data: TrainingWindows, rows: Rows, count: int, seed: int) -> Rows:
     return np.random.default_rng(seed).choice(rows, min(count, len(rows)), p=shares, replace=True)
 
 
-def _network(data: TrainingWindows, rows: Rows, scale: FeatureScale, options: KinecastOptions, noisy: bool) -> Networks:
-    rng = np.random.default_rng([options.seed, noisy])
-    some = _drawn(data, rows, POOL, options.seed)
+def _network(data: TrainingWindows, rows: Rows, scale: FeatureScale, seed: int, noisy: bool) -> Networks:
+    rng = np.random.default_rng([seed, noisy])
+    some = _drawn(data, rows, POOL, seed)
     size = np.exp(rng.uniform(-SIZES, SIZES, (len(some), 1, 1, 1)))
     observed, future = size * data.observed[some], size * data.future[some]
     if noisy:
         observed = observed + _white_noise(rng, NOISE, len(some), observed.shape[1])
-    return fit_network(scale, observed, future, options.network_steps, options.seed + noisy)
+    return fit_network(scale, observed, future, NETWORK_STEPS, seed + noisy)
 
 
 def _followed_recordings(windows: TrainingWindows) -> Bool[np.ndarray, " W"]:
@@ -142,11 +124,13 @@ def _white_noise(
     return np.exp(level) * rng.standard_normal((windows, frames, 6, 3))
 
 
-def _gate_examples(mixture: Mixture, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int) -> Examples:
+def _gate_examples(
+    networks: Networks, rows: Rows, place: tuple[int, int], data: TrainingWindows, seed: int
+) -> Examples:
     """Every eighth window of a recording as the gate would see it online, from a clean and from a noisy sensor."""
     part, examples = data.take(rows), []
     for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
-        for row, output, window in _followed(mixture, each):
+        for row, output, window in _followed(networks, None, each):
             if row % 8 == 0:
                 made = (output.forecasts - window[-1]).astype(np.float32)
                 came = (each.future[row] - window[-1]).astype(np.float32)
@@ -179,10 +163,10 @@ def _noisy_recording(windows: TrainingWindows, rng: np.random.Generator) -> Trai
     return replace(windows, observed=windows.observed + noise[seen], future=windows.future + noise[ahead])
 
 
-def _error_examples(mixture: Mixture, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
+def _error_examples(networks: Networks, rows: Rows, data: TrainingWindows, gate: Gate) -> Examples:
     """Errors of the mixture on a recording in each arm's own axes, features of the error model, collection."""
     part, examples = data.take(rows), []
-    for row, output, window in _followed(replace(mixture, gate=gate), part):
+    for row, output, window in _followed(networks, gate, part):
         own = (part.future[row] - output.mean) @ yaw_frame(window[-1])
         examples.append((np.einsum("tjd,jde->tje", own, SIDES), output.features, part.collection[row]))
     return tuple(map(np.stack, zip(*examples, strict=True)))
@@ -195,15 +179,16 @@ def _error_model(examples: Sequence[Examples], seed: int) -> ErrorModel:
 
 
 def _followed(
-    mixture: Mixture, windows: TrainingWindows
+    networks: Networks, gate: Gate | None, windows: TrainingWindows
 ) -> Iterator[tuple[int, MixtureOutput, Float[np.ndarray, "N 6 3"]]]:
     """One recording frame by frame, as online: row, what the mixture says, window."""
-    made = forecasts(mixture.experts, windows.observed, mixture.steps)
-    errors, before = mixture.rolling_errors(), int(windows.frame[0]) - 1
+    steps, before = windows.future.shape[1], int(windows.frame[0]) - 1
+    made = forecasts(networks, windows.observed, steps)
+    errors = rolling_errors(len(networks), steps)
     for row, frame in enumerate(windows.frame.tolist()):
         if frame - before - 1 > LONGEST_PAUSE:
-            errors, before = mixture.rolling_errors(), frame - 1
+            errors, before = rolling_errors(len(networks), steps), frame - 1
         errors.skip(frame - before - 1)
         window = windows.observed[row]
-        yield row, mixture.update(errors, window, window[-1], made[row]), window
+        yield row, mix(gate, errors, window, window[-1], made[row]), window
         before = frame

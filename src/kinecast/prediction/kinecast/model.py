@@ -17,15 +17,18 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.limits import JointLimits
-from kinecast.prediction.constraint import ConstraintFactor
-from kinecast.prediction.density import GaussianMixture, PoseDensity
+from kinecast.prediction.density import ConstraintFactor, GaussianMixture, PoseDensity
 from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
-from kinecast.prediction.kinecast.adaptive_scale import AdaptiveScale
-from kinecast.prediction.kinecast.error_model import SCALES, ErrorModel, error_features
-from kinecast.prediction.kinecast.experts import TRIVIAL, Networks, forecasts, networks_from_arrays
-from kinecast.prediction.kinecast.features import WindowMotion, yaw_frame
-from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
-from kinecast.prediction.kinecast.weights import Gate, GateInputs, fallback_weights, gate_inputs, rolling_errors
+from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
+from kinecast.prediction.kinecast.experts import TRIVIAL, FeatureScale, Networks, WindowMotion, forecasts, yaw_frame
+from kinecast.prediction.kinecast.weights import (
+    Gate,
+    GateInputs,
+    RollingForecastErrors,
+    fallback_weights,
+    gate_inputs,
+    rolling_errors,
+)
 from kinecast.prediction.method import Forecast
 from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation
@@ -40,10 +43,8 @@ RECENT_LEADS = [1, 3]
 FLOOR = 5e-4
 """Least spread of a joint [m], for directions that the low-rank factor leaves out."""
 
-
 Motion: TypeAlias = Float[np.ndarray, "T 6 3"]
 Motions: TypeAlias = Float[np.ndarray, "E T 6 3"]
-Window: TypeAlias = Float[np.ndarray, "N 6 3"]
 Factor: TypeAlias = Float[np.ndarray, "T 6 3 R"]
 
 
@@ -68,58 +69,37 @@ class MixtureOutput:
     learned: float
 
 
-@dataclass(frozen=True)
-class Mixture:
-    """Experts, gate and fallback weights: the mean.
+def mix(
+    gate: Gate | None,
+    errors: RollingForecastErrors,
+    window: Float[np.ndarray, "N 6 3"],
+    measured: Float[np.ndarray, "6 3"],
+    made: Motions,
+    falls_back: bool = True,
+) -> MixtureOutput:
+    """Learns from the newest frame how the experts did, and mixes what they make of it.
 
-    Attributes:
-        experts: the learned ones: two that know all collections, then one for each, where there are several.
+    Args:
         gate: None while it is being trained; experts then count alike.
-        frames, steps: N and T.
+        errors: of past forecasts of this person; changed.
+        window: that ends with the frame, world [m].
+        measured: the frame [m], NaN where it was not.
+        made: (E, T, 6, 3) forecasts of the experts from it [m].
         falls_back: whether the trivial experts may take over.
     """
-
-    experts: Networks
-    gate: Gate | None
-    frames: int
-    steps: int
-    falls_back: bool = True
-
-    def rolling_errors(self) -> RollingForecastErrors:
-        """Nothing remembered yet of a person."""
-        return rolling_errors(TRIVIAL + len(self.experts), self.steps)
-
-    def update(
-        self,
-        errors: RollingForecastErrors,
-        window: Window,
-        measured: Float[np.ndarray, "6 3"],
-        made: Motions | None = None,
-    ) -> MixtureOutput:
-        """Learns from the newest frame, as measured, how the experts did, and mixes them anew.
-
-        The person's `errors` are changed; `made` are forecasts of the experts where they are known already.
-        """
-        errors.observe(measured)
-        due = errors.mean()
-        if made is None:
-            made = forecasts(self.experts, window[None], self.steps)[0]
-        motion = WindowMotion.of(window)
-        inputs = gate_inputs(due, motion, made)
-        if self.gate is None:
-            weights = np.full((len(made), self.steps, 6), 1.0 / len(made))
-        else:
-            weights = self.gate.weights(inputs, self.steps)
-        mixed = (weights[..., None] * made).sum(axis=0)
-        mean, trust = mixed, np.ones(6)
-        if self.falls_back:
-            shares = fallback_weights(due, errors.frames)
-            trust = shares[0]
-            mean = trust[:, None] * mixed + (shares[1:, None, :, None] * made[:TRIVIAL]).sum(axis=0)
-        features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
-        errors.predicted(np.concatenate([made, mixed[None], mean[None]]))
-        learned = float((trust * weights[TRIVIAL:].sum(axis=0).mean(axis=0)).mean())
-        return MixtureOutput(mean, made, inputs, features, motion, learned)
+    errors.observe(measured)
+    due, motion = errors.mean(), WindowMotion.of(window)
+    inputs = gate_inputs(due, motion, made)
+    weights = np.full(made.shape[:3], 1.0 / len(made)) if gate is None else gate.weights(inputs, made.shape[1])
+    mean = mixed = (weights[..., None] * made).sum(axis=0)
+    trust = np.ones(6)
+    if falls_back:
+        trust, *others = fallback_weights(due, errors.frames)
+        mean = trust[:, None] * mixed + (np.array(others)[:, None, :, None] * made[:TRIVIAL]).sum(axis=0)
+    features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
+    errors.predicted(np.concatenate([made, mixed[None], mean[None]]))
+    learned = float((trust * weights[TRIVIAL:].sum(axis=0).mean(axis=0)).mean())
+    return MixtureOutput(mean, made, inputs, features, motion, learned)
 
 
 @dataclass
@@ -150,37 +130,33 @@ class Kinecast:
     """The method `kinecast`.
 
     Attributes:
-        mixture: the mean.
-        error_model: around it.
-        dt: time between frames [s].
+        experts: the learned ones: two that know all collections, then one for each, where there are several.
+        gate: mixes them; None for all alike.
+        error_model: around their mixture.
+        frames, steps, dt: N, T, and time between frames [s].
         noise: spread of a measured joint about the true one in training [m].
         limits: range and speed of the arm's angles; None for none.
+        falls_back: whether the trivial experts may take over.
         adaptive: whether the spread follows the person in view.
         remembers: whether anything does; without it every window is a stranger's.
     """
 
-    mixture: Mixture
+    experts: Networks
+    gate: Gate | None
     error_model: ErrorModel
+    frames: int
+    steps: int
     dt: float
     noise: float
     limits: JointLimits | None = field(default_factory=JointLimits)
+    falls_back: bool = True
     adaptive: bool = True
     remembers: bool = True
-
-    @property
-    def frames(self) -> int:
-        """N."""
-        return self.mixture.frames
-
-    @property
-    def steps(self) -> int:
-        """T."""
-        return self.mixture.steps
 
     def init_state(self) -> State:
         """See kinecast.prediction.method.Method."""
         adaptive = AdaptiveScale(self.error_model, self.steps, self.dt) if self.adaptive else None
-        return State(self.mixture.rolling_errors(), adaptive)
+        return State(rolling_errors(len(self.experts), self.steps), adaptive)
 
     def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
         """See kinecast.prediction.method.Method."""
@@ -194,7 +170,8 @@ class Kinecast:
         if state.adaptive is not None:
             state.adaptive.observe(measured)
         window = observation.positions
-        output = self.mixture.update(state.errors, window, measured)
+        made = forecasts(self.experts, window[None], self.steps)[0]
+        output = mix(self.gate, state.errors, window, measured, made, self.falls_back)
         scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:
             state.adaptive.predicted(output.mean, scale, yaw_frame(window[-1]), weights, output.motion.speed)
@@ -209,12 +186,12 @@ class Kinecast:
         if state.output is None or state.scale is None or state.weights is None:
             state = self.update(state, observation, observation.positions[-1])
             return self.forecast(state, observation, rng, samples)
-        scale = state.scale
+        scale, output, model = state.scale, state.output, self.error_model
         if state.adaptive is not None:
-            scale = scale * state.adaptive.factor(state.output.motion.speed)
+            scale = scale * state.adaptive.factor(output.motion.speed)
         rotation = observation.frame[0].T @ yaw_frame(observation.positions[-1])
-        factor = with_noise(self.error_model.factor_in(scale, rotation), observation.noise)
-        mean = observation.to_torso(state.output.mean)
+        factor = with_noise(model.factor_in(scale, rotation), observation.noise)
+        mean, world_mean = observation.to_torso(output.mean), output.mean
         draws = rng.standard_normal((factor.shape[-1], samples))
         common, goals = common_factors(state.weights, samples, rng), None
         if observation.goals is None:
@@ -224,29 +201,27 @@ class Kinecast:
             goals = goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
             draws *= rng.permutation(common)
             goals.move(draws, rng)
-        motions = sample_motions(observation, mean, factor, draws, self.limits, self.error_model.farthest)
-        constraint = None
-        if self.limits is not None:
-            constraint = ConstraintFactor(
-                lambda: mean + np.tensordot(draws, factor, axes=(0, 3)), observation, self.limits, self.noise
-            )
+            world_mean = world_mean + goals.mean(factor) @ observation.frame[0].T
+
+        def drawn() -> Float[np.ndarray, "S T 6 3"]:
+            return mean + np.tensordot(draws, factor, axes=(0, 3))
+
+        constraint = None if self.limits is None else ConstraintFactor(drawn, observation, self.limits, self.noise)
+        blocks = _blocks(mean, factor, model.rough, state.weights, goals)
         return Forecast(
-            motions,
-            state.output.mean if goals is None else state.output.mean + goals.mean(factor) @ observation.frame[0].T,
-            PoseDensity(
-                observation, mean, _blocks(mean, factor, self.error_model.rough, state.weights, goals), constraint
-            ),
+            sample_motions(observation, mean, factor, draws, self.limits, model.farthest),
+            world_mean,
+            PoseDensity(observation, mean, blocks, constraint),
             self.limits is not None,
-            {"learned_share": state.output.learned},
+            {"learned_share": output.learned},
             {} if goals is None else goals.goals,
         )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a model file."""
-        assert self.mixture.gate is not None
-        parts = {"gate": self.mixture.gate.to_arrays(), "spread": self.error_model.to_arrays()}
-        parts["experts"] = self.mixture.experts.to_arrays()
-        return {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+        parts = {"gate": self.gate, "spread": self.error_model, "experts": self.experts}
+        known = {part: of.to_arrays() for part, of in parts.items() if of is not None}
+        return {f"{part}.{name}": array for part, arrays in known.items() for name, array in arrays.items()}
 
 
 def _blocks(
@@ -285,13 +260,13 @@ def common_factors(weights: Float[np.ndarray, " K"], samples: int, rng: np.rando
 
 def ablations(whole: Kinecast) -> dict[str, Kinecast]:
     """The method without each of its stages in turn, by what is missing."""
-    mixture, networks = whole.mixture, range(len(whole.mixture.experts))
+    networks = range(len(whole.experts))
     own = {"no networks of one collection": _with_networks(whole, networks[:GENERAL])} if networks[GENERAL:] else {}
     return {
         "no network": _with_networks(whole, []),
         **own,
-        "no gate": replace(whole, mixture=replace(mixture, gate=None)),
-        "no fallback": replace(whole, mixture=replace(mixture, falls_back=False)),
+        "no gate": replace(whole, gate=None),
+        "no fallback": replace(whole, falls_back=False),
         "no memory": replace(whole, remembers=False),
         "no adaptive spread": replace(whole, adaptive=False),
         "no limits, no scene": replace(whole, limits=None),
@@ -300,21 +275,15 @@ def ablations(whole: Kinecast) -> dict[str, Kinecast]:
 
 def _with_networks(whole: Kinecast, which: Sequence[int]) -> Kinecast:
     """The method with some of its networks; the gate keeps what it learned of them."""
-    mixture = whole.mixture
-    rows = [*range(TRIVIAL), *(TRIVIAL + k for k in which)]
-    gate = mixture.gate and replace(mixture.gate, bias=mixture.gate.bias[rows], slope=mixture.gate.slope[rows])
-    return replace(whole, mixture=replace(mixture, experts=mixture.experts.take(which), gate=gate))
+    rows, gate = [*range(TRIVIAL), *(TRIVIAL + k for k in which)], whole.gate
+    gate = gate and replace(gate, bias=gate.bias[rows], slope=gate.slope[rows])
+    return replace(whole, experts=whole.experts.take(which), gate=gate)
 
 
 def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> Kinecast:
-    """The method that `Kinecast.to_arrays` described; KeyError or ValueError where arrays are missing or do not fit."""
-    parts: dict[str, dict[str, np.ndarray]] = {}
-    for name, array in arrays.items():
-        part, _, own = name.partition(".")
-        parts.setdefault(part, {})[own] = array
-    experts = networks_from_arrays(parts["experts"])
-    gate = Gate.from_arrays(parts["gate"])
-    error_model = ErrorModel.from_arrays(parts["spread"])
+    """The method that `Kinecast.to_arrays` described; ValueError where arrays are missing or do not fit."""
+    experts = Networks.from_arrays(arrays, "experts.", scale=FeatureScale.from_arrays(arrays, "experts.scale."))
+    gate, error_model = Gate.from_arrays(arrays, "gate."), ErrorModel.from_arrays(arrays, "spread.")
     if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != card.steps:
         raise ValueError(f"{len(experts)} experts, {error_model.factor.shape[0]} steps")
-    return Kinecast(Mixture(experts, gate, card.frames, card.steps), error_model, card.dt, card.noise, card.limits)
+    return Kinecast(experts, gate, error_model, card.frames, card.steps, card.dt, card.noise, card.limits)

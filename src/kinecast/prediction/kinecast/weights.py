@@ -8,6 +8,7 @@ on a recording unlike anything trained on, what is simple and right takes over.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,9 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.geometry.transforms import lengths
-from kinecast.prediction.kinecast.experts import TRIVIAL
-from kinecast.prediction.kinecast.features import WindowMotion
-from kinecast.prediction.kinecast.rolling_errors import RollingForecastErrors
+from kinecast.prediction.descent import descend
+from kinecast.prediction.kinecast.experts import TRIVIAL, WindowMotion
 from kinecast.prediction.model_file import Arrays
 
 LEADS, HALF_LIVES = (1, 3, 6, 10, 15), (8.0, 40.0, 200.0, 10.0)
@@ -48,9 +48,52 @@ def step_basis(steps: int) -> Float[np.ndarray, "T 3"]:
     return np.stack([np.ones(steps), centre, centre**2], axis=1)
 
 
+class RollingForecastErrors:
+    """Exponentially forgotten mean error of each forecaster's past predictions, once their time has come.
+
+    Args:
+        forecasters: E, how many are followed.
+        leads: (L,) steps ahead at which they are judged.
+        half_lives: (H,) memories, in frames.
+    """
+
+    def __init__(self, forecasters: int, leads: tuple[int, ...], half_lives: tuple[float, ...]) -> None:
+        self.frames = 0  # seen so far
+        self._leads, self._decay = leads, 0.5 ** (1.0 / np.array(half_lives))
+        self._sum = np.zeros((len(leads), forecasters, 6, len(half_lives)))
+        self._weight = np.zeros((len(leads), len(half_lives)))
+        self._past: deque[Float[np.ndarray, "E T 6 3"] | None] = deque([None] * max(leads), maxlen=max(leads))
+
+    def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
+        """Judges what was predicted for this frame; NaN joints judge nothing. Call once a frame, before `predicted`."""
+        self.frames += 1
+        if not np.isfinite(pose).all():
+            return
+        for k, lead in enumerate(self._leads):
+            made = self._past[-lead]
+            if made is not None:
+                self._sum[k] *= self._decay
+                self._sum[k] += lengths(made[:, lead - 1] - pose)[..., None]
+                self._weight[k] = self._weight[k] * self._decay + 1.0
+
+    def predicted(self, forecasts: Float[np.ndarray, "E T 6 3"]) -> None:
+        """Keeps what is predicted from this frame on."""
+        self._past.append(forecasts)
+
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        self.frames += frames
+        self._past.extend([None] * frames)
+
+    def mean(self) -> Float[np.ndarray, "E 6 L H"]:
+        """(E, 6, L, H) mean errors [m]; NaN where nothing has come due."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return (self._sum / self._weight[:, None, None]).transpose(1, 2, 0, 3)
+
+
 def rolling_errors(experts: int, steps: int) -> RollingForecastErrors:
-    """What is remembered of a person: the errors of each expert, then of their mixture, then of the final mean."""
-    return RollingForecastErrors(experts + 2, tuple(min(lead, steps) for lead in LEADS), HALF_LIVES)
+    """Nothing remembered yet: of the experts, `experts` learned ones among them, of their mixture, of the mean."""
+    return RollingForecastErrors(TRIVIAL + experts + 2, tuple(min(lead, steps) for lead in LEADS), HALF_LIVES)
 
 
 @dataclass(frozen=True)
@@ -137,16 +180,11 @@ def fit_gate(
 
     `errors` and `windows` are its inputs; what experts forecast and what came are relative to the last pose [m].
     """
-    from kinecast.prediction.descent import descend, jax_in_one_thread
-
-    jax = jax_in_one_thread()
-    import jax.numpy as jnp
-
     experts, steps, sources = forecasts.shape[1], forecasts.shape[2], errors.shape[-1]
-    basis = jnp.asarray(step_basis(steps))
-    data = (errors, windows, forecasts, futures)
+    basis = step_basis(steps)
 
-    def loss(parameters, rows, key):  # type: ignore[no-untyped-def]
+    def loss(jax, parameters, rows, key):  # type: ignore[no-untyped-def]
+        jnp = jax.numpy
         bias, share, slope = parameters
         error, look, made, came = rows
         logits = (bias @ basis.T)[:, JOINT_TYPE][None]
@@ -165,6 +203,14 @@ def fit_gate(
     share[:, 0] = 5.0 / sources
     start = [np.zeros((experts, 3, 3)), share, np.zeros((experts, 5, 3))]
     bias, share, slope = descend(
-        loss, start, data, steps=FIT_STEPS, batch=FIT_BATCH, rate=FIT_RATE, decay=0.0, second=0.99, seed=seed
+        loss,
+        start,
+        (errors, windows, forecasts, futures),
+        steps=FIT_STEPS,
+        batch=FIT_BATCH,
+        rate=FIT_RATE,
+        decay=0.0,
+        second=0.99,
+        seed=seed,
     )
     return Gate(bias, share, slope)
