@@ -21,9 +21,9 @@ from kinecast.view.viewer import Viewer
 from .simulated import LONG, simulation
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def viewer() -> Iterator[Viewer]:
-    """Whose run has come to its end."""
+    """Whose run has come to its end, before and after each test."""
     simulations = Simulations(
         ("avoid", "replan"), ("none", "oracle"), Cell(), lambda _: simulation(), lambda _: None, lambda *_: "all done"
     )
@@ -63,6 +63,9 @@ def test_controls_ask_for_another_run(viewer: Viewer) -> None:
     assert viewer.playback.playing
     viewer.panel.change(level=0.8)  # the same again is no change
     assert viewer.playback.run is second
+    second._thread.join(LONG)
+    viewer.panel.change(scenario="avoid", predictor="none", level=0.95)
+    viewer.playback.run._thread.join(LONG)
 
 
 def test_what_is_hidden_is_not_shown(viewer: Viewer) -> None:
@@ -71,6 +74,7 @@ def test_what_is_hidden_is_not_shown(viewer: Viewer) -> None:
     stage.layers.update(path=False, samples=False, region=False)
     viewer.refresh()
     assert not any(node.visible for node in (stage.way, stage.tip, stage.cloud, stage.tubes))
+    stage.layers.update(path=True, samples=True, region=True)
 
 
 def test_a_moment_in_words() -> None:
