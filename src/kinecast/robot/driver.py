@@ -1,8 +1,8 @@
-"""What moves an arm: a real one, a simulated one, or one that only writes down what it is told."""
+"""What moves an arm: a real one (kinecast.robot.ur_driver), or a simulated one."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,7 +12,7 @@ from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["ArmState", "Driver", "MockDriver", "SimulatedDriver"]
+__all__ = ["ArmState", "Driver", "SimulatedDriver"]
 
 HOLDS = 0.04
 """A cube is held when its centre is this near to where the fingers close [m]."""
@@ -107,33 +107,3 @@ class SimulatedDriver:
         T = self.arm.forward_kinematics(self._q)
         place: Float[np.ndarray, " 3"] = T[:3, 3] + self._below * T[:3, 2]
         return place
-
-
-@dataclass
-class MockDriver:
-    """Is where it was told to be, and remembers everything it was told.
-
-    Attributes:
-        q: (6,) where it is [rad].
-        dt: time between two steps [s].
-        sent: every configuration [rad]; grips: every order to the gripper.
-    """
-
-    q: Float[np.ndarray, "6"]
-    dt: float = 0.008
-    sent: list[Float[np.ndarray, "6"]] = field(default_factory=list)
-    grips: list[bool] = field(default_factory=list)
-
-    def state(self) -> ArmState:
-        """Where it was told to be."""
-        return ArmState(self.q.copy(), bool(self.grips and self.grips[-1]))
-
-    def move(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-        """Takes down a configuration."""
-        self.q = np.array(q, dtype=np.float64)
-        self.sent.append(self.q.copy())
-        return self.q.copy()
-
-    def grip(self, closed: bool) -> None:
-        """Takes down an order."""
-        self.grips.append(closed)

@@ -25,7 +25,7 @@ ROUND_OFF = 1e-9
 
 
 def branches(T_base_flange: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
-    """Every solution with angles in (−π, π].
+    """Every solution with angles in [−π, π).
 
     Args:
         T_base_flange: (4, 4) flange in the controller's base frame.
@@ -41,7 +41,7 @@ def branches(T_base_flange: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"
         for q6 in [_roll(T, q1, q5)]
         for q2, q3, q4 in _triangles(T, q1, q5, q6)
     ]
-    return _wrapped(np.array(found).reshape(-1, 6))
+    return (np.array(found).reshape(-1, 6) + np.pi) % (2 * np.pi) - np.pi
 
 
 def _pans(T: Float[np.ndarray, "4 4"]) -> Iterator[float]:
@@ -97,9 +97,3 @@ def _link(theta: float, d: float, a: float, alpha: float) -> Float[np.ndarray, "
     """One row of the table: Rz(θ) Tz(d) Tx(a) Rx(α)."""
     c, s, ca, sa = math.cos(theta), math.sin(theta), math.cos(alpha), math.sin(alpha)
     return np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]])
-
-
-def _wrapped(angle: Float[np.ndarray, "B 6"]) -> Float[np.ndarray, "B 6"]:
-    """Angles in (−π, π]."""
-    wrapped = np.pi - np.mod(np.pi - angle, 2 * np.pi)
-    return np.where(wrapped <= -np.pi, np.pi, wrapped)

@@ -30,7 +30,7 @@ SPEED, ACCELERATION, JERK = 1.57, 4.0, 75.0
 """Greatest of an angle [rad/s, rad/s^2, rad/s^3]: half of the speed that the arm can do, as beside people nothing is
 gained by more; less than half of its acceleration and jerk, the rest is for braking."""
 TOLERANCE = 1.02
-"""A motion that needs so many times its time to be within these is within them."""
+"""A motion that needs so many times its time to be within these is within them; others are slowed to as much less."""
 SHORTEST = 0.4
 """Duration of the shortest motion [s]."""
 WAYPOINTS, BENT_WAYPOINTS = 40, 24
@@ -126,6 +126,8 @@ class Planner:
             return NoPlan("the goal is blocked by the scene or the arm itself")
         blocked = ""
         for k in order[:STRAIGHT_GOALS]:
+            if blocked and time.perf_counter() > end:
+                break
             found = self._pushed(np.stack([q, goals[k]]), start_time, end)
             if isinstance(found, Trajectory):
                 return Plan(found, int(k))
@@ -249,4 +251,4 @@ def _duration(way: Float[np.ndarray, "6"]) -> float:
 def _slow_enough(trajectory: Trajectory) -> Trajectory:
     """The motion in as much time as the limits need."""
     excess = trajectory.excess(np.array([SPEED, ACCELERATION, JERK]), 100)
-    return trajectory.stretched(excess) if excess > TOLERANCE else trajectory
+    return trajectory.stretched(TOLERANCE * excess) if excess > TOLERANCE else trajectory

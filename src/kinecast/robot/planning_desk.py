@@ -27,14 +27,12 @@ class Answer:
         choice: what is best; None where there is no way.
         reason: why there is none, in words.
         crashed: whether the planner failed rather than found nothing.
-        milliseconds: the planner worked.
     """
 
     request: Request
     choice: Choice | None
     reason: str = ""
     crashed: bool = False
-    milliseconds: float = 0.0
 
 
 Solve = Callable[[Request], Choice | NoPlan]
@@ -43,17 +41,15 @@ Solve = Callable[[Request], Choice | NoPlan]
 
 @runtime_checkable
 class Desk(Protocol):
-    """Takes one request at a time."""
+    """Takes one request at a time.
 
-    @property
-    def pending(self) -> Request | None:
-        """What is being worked on."""
-        ...
+    Attributes:
+        pending: what is being worked on.
+        latency: how long an answer is likely to take [s].
+    """
 
-    @property
-    def latency(self) -> float:
-        """How long an answer is likely to take [s]."""
-        ...
+    pending: Request | None
+    latency: float
 
     def ask(self, request: Request, now: float) -> None:
         """Hands a request in; one that is pending is dropped, and its answer never seen."""
@@ -76,30 +72,25 @@ class DeferredDesk:
     def __init__(self, solve: Solve, latency: float = 0.1, clock: Callable[[], float] = time.perf_counter) -> None:
         if not latency >= 0:
             raise OptionError(f"latency {latency} s must be 0 or more")
+        self.pending: Request | None = None
         self.latency = latency
         self.worked = 0.0
         """Time spent planning in all [s], so that whoever measures the rest can take it off."""
         self._solve, self._clock = solve, clock
-        self._answer: Answer | None = None
-        self._ready = 0.0
-
-    @property
-    def pending(self) -> Request | None:
-        """What is being worked on."""
-        return None if self._answer is None else self._answer.request
 
     def ask(self, request: Request, now: float) -> None:
         """Plans; the answer is there after the latency."""
-        self._answer = _answered(self._solve, request, self._clock)
-        self.worked += 1e-3 * self._answer.milliseconds
-        self._ready = now + self.latency
+        began = self._clock()
+        self._answer, self._ready = _answered(self._solve, request), now + self.latency
+        self.worked += self._clock() - began
+        self.pending = request
 
     def answer(self, now: float) -> Answer | None:
         """The answer, once, when the latency has passed."""
-        if self._answer is None or now < self._ready - 1e-9:
+        if self.pending is None or now < self._ready - 1e-9:
             return None
-        answer, self._answer = self._answer, None
-        return answer
+        self.pending = None
+        return self._answer
 
 
 class ThreadDesk:
@@ -111,29 +102,23 @@ class ThreadDesk:
     """
 
     def __init__(self, solve: Solve, latency: float = 0.1) -> None:
+        self.pending: Request | None = None
         self.latency = latency
         self._solve = solve
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="planner")
-        self._request: Request | None = None
         self._future: Future[Answer] | None = None
-
-    @property
-    def pending(self) -> Request | None:
-        """What is being worked on."""
-        return self._request
 
     def ask(self, request: Request, now: float) -> None:
         """Hands a request to the thread, after the one it is working on."""
         if self._future is not None:
             self._future.cancel()
-        self._request = request
-        self._future = self._pool.submit(_answered, self._solve, request)
+        self.pending, self._future = request, self._pool.submit(_answered, self._solve, request)
 
     def answer(self, now: float) -> Answer | None:
         """The answer, once, when the thread is done."""
         if self._future is None or not self._future.done():
             return None
-        answer, self._future, self._request = self._future.result(), None, None
+        answer, self._future, self.pending = self._future.result(), None, None
         return answer
 
     def close(self) -> None:
@@ -141,15 +126,11 @@ class ThreadDesk:
         self._pool.shutdown(cancel_futures=True)
 
 
-def _answered(solve: Solve, request: Request, clock: Callable[[], float] = time.perf_counter) -> Answer:
+def _answered(solve: Solve, request: Request) -> Answer:
     """Never raises: the arm goes on whatever happens to its planner."""
-    started = clock()
     try:
         found = solve(request)
     except Exception as error:
         log.exception("planning for %s failed", request.why)
-        return Answer(request, None, f"the planner failed: {error}", True, 1e3 * (clock() - started))
-    milliseconds = 1e3 * (clock() - started)
-    if isinstance(found, NoPlan):
-        return Answer(request, None, found.reason, False, milliseconds)
-    return Answer(request, found, "", False, milliseconds)
+        return Answer(request, None, f"the planner failed: {error}", True)
+    return Answer(request, None, found.reason) if isinstance(found, NoPlan) else Answer(request, found)

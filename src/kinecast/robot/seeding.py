@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from jaxtyping import Float
@@ -52,8 +50,9 @@ def searched(
     if not free or checker.touched(start, margin):
         return None
     end, left = time.perf_counter() + seconds, itertools.count(iterations, -1)
-    with _ONE_AT_A_TIME, _quiet():
-        # Generators made from here on follow from this seed, whatever OMPL's error says that _quiet keeps back.
+    with _ONE_AT_A_TIME:
+        ou.setLogLevel(ou.LOG_NONE)  # what it finds is in what it returns
+        # Generators made from here on follow from this seed, whatever OMPL's error would say.
         ou.RNG.setSeed(seed + 1)
         space = ob.RealVectorStateSpace(6)
         space.setBounds(_bounds(np.stack([start, *free]), checker.arm.q_range))
@@ -112,14 +111,3 @@ def _state(space: ob.RealVectorStateSpace, q: Float[np.ndarray, "6"]) -> ob.Stat
     for j in range(6):
         state[j] = float(q[j])
     return state
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """OMPL says nothing meanwhile: what it finds is in what it returns."""
-    before = ou.getLogLevel()
-    ou.setLogLevel(ou.LOG_NONE)
-    try:
-        yield
-    finally:
-        ou.setLogLevel(before)

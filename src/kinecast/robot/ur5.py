@@ -5,16 +5,18 @@ Everything is in the controller's base frame.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from importlib.resources import files
+from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from numba import njit
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.transforms import inverse
 from kinecast.robot.inverse_kinematics import branches
-from kinecast.robot.kinematics import joint_frames, site_positions
 
 try:
     import coal
@@ -60,7 +62,7 @@ class UR5:
         q_range: (6, 2) least and greatest angle [rad].
         max_speed: (6,) [rad/s]; max_acceleration: (6,) [rad/s^2]; max_jerk: (6,) [rad/s^3].
         stop_jerk: (6,) that it may brake with [rad/s^3].
-        joint_origins: (6, 3, 4) each joint's frame in its parent's (kinecast.robot.kinematics).
+        joint_origins: (6, 3, 4) each joint's frame in its parent's, as [R t]; it turns about its own z axis.
         capsule_sites: (2 L, 3) ends of the capsules in their joints' frames [m], all starts first.
         capsule_joint: (L,) joint that moves each capsule.
         capsule_radius: (L,) [m].
@@ -102,16 +104,25 @@ class UR5:
 
     def frames(self, q: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 6 3 4"]:
         """T_base_joint of all joints as [R t] at configurations (N, 6) [rad]."""
-        frames: Float[np.ndarray, "N 6 3 4"] = joint_frames(np.ascontiguousarray(q, np.float64), self.joint_origins)
+        frames: Float[np.ndarray, "N 6 3 4"] = _joint_frames(np.ascontiguousarray(q, np.float64), self.joint_origins)
         return frames
+
+    @staticmethod
+    def places(
+        frames: Float[np.ndarray, "N 6 3 4"], sites: Float[np.ndarray, "M 3"], joint: Int[np.ndarray, " M"]
+    ) -> Float[np.ndarray, "N M 3"]:
+        """(N, M, 3) places [m] of points (M, 3) that are fixed to the links which joints (M,) move."""
+        carried = frames[:, joint]
+        places: Float[np.ndarray, "N M 3"] = np.einsum("nmij,mj->nmi", carried[..., :3], sites) + carried[..., 3]
+        return places
 
     def capsules(self, q: Float[np.ndarray, "N 6"]) -> LinkCapsules:
         """The moving links (`LINKS`) at configurations (N, 6) [rad]."""
-        ends = site_positions(self.frames(q), self.capsule_sites, np.tile(self.capsule_joint, 2))
+        ends = self.places(self.frames(q), self.capsule_sites, np.tile(self.capsule_joint, 2))
         return LinkCapsules(ends[:, : len(LINKS)], ends[:, len(LINKS) :], self.capsule_radius)
 
     def inverse_kinematics(self, T_base_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
-        """Every configuration with angles in (−π, π] that puts the tool there: up to eight branches.
+        """Every configuration with angles in [−π, π) that puts the tool there: up to eight branches.
 
         Where the wrist is straight (q5 = 0 or π) the last angle is free, and 0 is given.
 
@@ -125,3 +136,24 @@ def _axis(capsule: pin.GeometryObject) -> Float[np.ndarray, "2 3"]:
     """Both ends of a cylinder's axis in its joint's frame."""
     half = capsule.placement.rotation[:, 2] * capsule.geometry.halfLength
     return np.stack([capsule.placement.translation - half, capsule.placement.translation + half])
+
+
+@njit(cache=True)
+@no_type_check
+def _joint_frames(q: np.ndarray, origins: np.ndarray) -> np.ndarray:
+    """(N, D, 3, 4) T_base_joint of configurations (N, D) [rad]; origins (D, 3, 4) are the joints' frames at 0 rad."""
+    frames = np.empty((len(q), *origins.shape))
+    for n in range(len(q)):
+        parent = np.eye(4)[:3]
+        for j in range(q.shape[1]):
+            c, s = math.cos(q[n, j]), math.sin(q[n, j])
+            for r in range(3):
+                a, b, d = parent[r, 0], parent[r, 1], parent[r, 2]
+                x = a * origins[j, 0, 0] + b * origins[j, 1, 0] + d * origins[j, 2, 0]
+                y = a * origins[j, 0, 1] + b * origins[j, 1, 1] + d * origins[j, 2, 1]
+                frames[n, j, r, 0] = c * x + s * y
+                frames[n, j, r, 1] = c * y - s * x
+                frames[n, j, r, 2] = a * origins[j, 0, 2] + b * origins[j, 1, 2] + d * origins[j, 2, 2]
+                frames[n, j, r, 3] = a * origins[j, 0, 3] + b * origins[j, 1, 3] + d * origins[j, 2, 3] + parent[r, 3]
+            parent = frames[n, j]
+    return frames

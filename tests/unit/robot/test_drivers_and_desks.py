@@ -11,7 +11,7 @@ import pytest
 from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Chooser, Option, Request
-from kinecast.robot.driver import Driver, MockDriver, SimulatedDriver
+from kinecast.robot.driver import Driver, SimulatedDriver
 from kinecast.robot.pick_place import VERTICAL, Step, nearest, postures, straight
 from kinecast.robot.planner import NoPlan, Plan, Planner
 from kinecast.robot.planning_desk import DeferredDesk, Desk, ThreadDesk
@@ -56,14 +56,8 @@ def test_nothing_is_held_where_no_cube_is(arm: UR5, cell: Cell) -> None:
     assert driver.state().closed
 
 
-def test_both_drivers_keep_the_protocol_and_the_mock_remembers(arm: UR5, cell: Cell) -> None:
-    mock = MockDriver(START)
-    assert isinstance(mock, Driver)
+def test_it_keeps_the_protocol(arm: UR5, cell: Cell) -> None:
     assert isinstance(SimulatedDriver(arm, cell, START), Driver)
-    mock.move(START + 0.1)
-    mock.grip(True)
-    assert mock.state().closed
-    np.testing.assert_allclose(mock.sent, [START + 0.1])
     with pytest.raises(OptionError, match="dt"):
         SimulatedDriver(arm, cell, START, 0.0)
 
