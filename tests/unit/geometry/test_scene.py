@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Sphere, Waypoints
 from kinecast.geometry.transforms import from_rotation_vector
+
+from .conftest import distances
 
 LIMBS = np.array([(0, 1), (1, 2), (3, 4), (4, 5)])
 TURNED = from_rotation_vector(np.array([0.3, -0.8, 0.5]))
@@ -24,11 +25,6 @@ POSE = np.array(
         [0.35, -0.2, 1.05],
     ]
 )
-
-
-def distances(scene: Scene, points: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """(…, T, J) distance [m] of each point (…, T, J, 3) to the nearest obstacle where it is at that point's time."""
-    return limb_distances(scene.rows(times), points, np.arange(points.shape[-2])[:, None].repeat(2, axis=1))
 
 
 def arms_around_the_table(samples: int, times: int, seed: int = 0) -> np.ndarray:

@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 from kinecast.errors import DatasetError
-from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule, HalfSpace, MovingObstacle, Sphere
 
-
-def distances(scene: Scene, points: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """(T, J) distance [m] of each point (T, J, 3) to the nearest obstacle where it is at that point's time [s]."""
-    return limb_distances(scene.rows(times), points, np.arange(points.shape[-2])[:, None].repeat(2, axis=1))
+from .conftest import distances
 
 
 def test_the_shipped_example_holds_every_kind_of_entry() -> None:
