@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,15 +19,10 @@ def write_atomically(path: Path, content: bytes) -> None:
         OSError: it cannot be written; nothing is left behind.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(partial, 0o644)  # mkstemp's is for its owner alone
-        os.replace(partial, path)
-    except BaseException:
-        Path(partial).unlink(missing_ok=True)
-        raise
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+        part = Path(folder) / "part"
+        part.write_bytes(content)
+        part.replace(path)
 
 
 @contextmanager
@@ -46,11 +39,8 @@ def all_or_none(folder: Path) -> Iterator[Path]:
         OSError: the folder cannot be written.
     """
     near = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
-    draft = Path(tempfile.mkdtemp(dir=near, prefix=f".{folder.name}."))
-    try:
-        yield draft
+    with tempfile.TemporaryDirectory(dir=near, prefix=f".{folder.name}.") as draft:
+        yield Path(draft)
         folder.mkdir(parents=True, exist_ok=True)
-        for file in sorted(draft.iterdir()):
+        for file in sorted(Path(draft).iterdir()):
             file.replace(folder / file.name)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
