@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["BEING_WRITTEN", "all_or_none", "write_atomically"]
-
 BEING_WRITTEN: list[Path] = []
-"""Files and folders of which a draft lies on the disk: a process that ends at once would leave it there."""
-
-
-@contextmanager
-def _being_written(path: Path) -> Iterator[None]:
-    BEING_WRITTEN.append(path)
-    try:
-        yield
-    finally:
-        BEING_WRITTEN.remove(path)
+"""Folders with a draft in them: a process that ends at once would leave it there."""
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -35,16 +22,10 @@ def write_atomically(path: Path, content: bytes) -> None:
         OSError: it cannot be written; nothing is left behind.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _being_written(path):
-        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-            os.chmod(partial, 0o644)  # mkstemp's is for its owner alone
-            os.replace(partial, path)
-        except BaseException:
-            Path(partial).unlink(missing_ok=True)
-            raise
+    with _draft(path.parent, path.name) as draft:
+        part = draft / "part"
+        part.write_bytes(content)
+        part.replace(path)
 
 
 @contextmanager
@@ -61,12 +42,19 @@ def all_or_none(folder: Path) -> Iterator[Path]:
         OSError: the folder cannot be written.
     """
     near = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
-    with _being_written(folder):
-        draft = Path(tempfile.mkdtemp(dir=near, prefix=f".{folder.name}."))
-        try:
-            yield draft
-            folder.mkdir(parents=True, exist_ok=True)
-            for file in sorted(draft.iterdir()):
-                file.replace(folder / file.name)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
+    with _draft(near, folder.name) as draft:
+        yield draft
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in sorted(draft.iterdir()):
+            file.replace(folder / file.name)
+
+
+@contextmanager
+def _draft(near: Path, name: str) -> Iterator[Path]:
+    """A folder beside what is written, which goes whatever happens."""
+    BEING_WRITTEN.append(near)
+    try:
+        with tempfile.TemporaryDirectory(dir=near, prefix=f".{name}.") as draft:
+            yield Path(draft)
+    finally:
+        BEING_WRITTEN.remove(near)

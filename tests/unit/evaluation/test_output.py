@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from kinecast.evaluation import output
 from kinecast.evaluation.output import write_atomically
 
 
@@ -26,7 +25,7 @@ def test_a_failure_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Monkey
     def fail(*_: object) -> None:
         raise OSError("disk full")
 
-    monkeypatch.setattr(output.os, "replace", fail)
+    monkeypatch.setattr(Path, "replace", fail)
     with pytest.raises(OSError, match="disk full"):
         write_atomically(path, b"new")
     assert path.read_bytes() == b"old"
