@@ -21,7 +21,7 @@ from kinecast.geometry.distances import point_distance
 from kinecast.geometry.shapes import Capsule
 from kinecast.robot.collision import FIRST_LINK
 from kinecast.robot.trajectory import rest_to_rest
-from kinecast.robot.ur5 import LINKS, UR5
+from kinecast.robot.ur5 import LINKS, UR5, fixed_places
 
 __all__ = ["Chomp", "People"]
 
@@ -139,7 +139,7 @@ class Chomp:
     ) -> tuple[float, Float[np.ndarray, "W-2 6"]]:
         """The least distance beyond its margin [m], and ∇U of the inner waypoints without the smoothness."""
         frames = self.arm.frames(q)
-        places = self.arm.places(frames, self._sites, self._joint)
+        places = fixed_places(frames, self._sites, self._joint)
         gap, pull = _nearest_obstacles(self._obstacles, self._first_link, places[1:-1], self._link)
         gap -= self._radius + margin
         least, (cost, slope) = gap.min(), _cost(gap, SCENE_ZONE)

@@ -11,7 +11,7 @@ from importlib.resources import files
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numba import njit
 
 from kinecast.errors import MissingExtraError
@@ -24,7 +24,7 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["LINKS", "UR5", "LinkCapsules"]
+__all__ = ["LINKS", "UR5", "LinkCapsules", "fixed_places"]
 
 LINKS = (
     "shoulder", "upper_arm", "elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "palm", "left_finger", "right_finger",
@@ -107,18 +107,9 @@ class UR5:
         frames: Float[np.ndarray, "N 6 3 4"] = _joint_frames(np.ascontiguousarray(q, np.float64), self.joint_origins)
         return frames
 
-    @staticmethod
-    def places(
-        frames: Float[np.ndarray, "N 6 3 4"], sites: Float[np.ndarray, "M 3"], joint: Int[np.ndarray, " M"]
-    ) -> Float[np.ndarray, "N M 3"]:
-        """(N, M, 3) places [m] of points (M, 3) that are fixed to the links which joints (M,) move."""
-        carried = frames[:, joint]
-        places: Float[np.ndarray, "N M 3"] = np.einsum("nmij,mj->nmi", carried[..., :3], sites) + carried[..., 3]
-        return places
-
     def capsules(self, q: Float[np.ndarray, "N 6"]) -> LinkCapsules:
         """The moving links (`LINKS`) at configurations (N, 6) [rad]."""
-        ends = self.places(self.frames(q), self.capsule_sites, np.tile(self.capsule_joint, 2))
+        ends = fixed_places(self.frames(q), self.capsule_sites, np.tile(self.capsule_joint, 2))
         return LinkCapsules(ends[:, : len(LINKS)], ends[:, len(LINKS) :], self.capsule_radius)
 
     def inverse_kinematics(self, T_base_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
@@ -157,3 +148,16 @@ def _joint_frames(q: np.ndarray, origins: np.ndarray) -> np.ndarray:
                 frames[n, j, r, 3] = a * origins[j, 0, 3] + b * origins[j, 1, 3] + d * origins[j, 2, 3] + parent[r, 3]
             parent = frames[n, j]
     return frames
+
+
+@njit(cache=True)
+@no_type_check
+def fixed_places(frames: np.ndarray, sites: np.ndarray, joint: np.ndarray) -> np.ndarray:
+    """(N, M, 3) places [m] of points (M, 3) that are fixed to links whose joints (M,) have frames (N, D, 3, 4)."""
+    places = np.empty((len(frames), len(sites), 3))
+    for n in range(len(frames)):
+        for m in range(len(sites)):
+            for i in range(3):
+                row = frames[n, joint[m], i]
+                places[n, m, i] = row[0] * sites[m, 0] + row[1] * sites[m, 1] + row[2] * sites[m, 2] + row[3]
+    return places
