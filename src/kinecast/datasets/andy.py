@@ -80,7 +80,9 @@ def _frame_labels(file: Path, stamps: Float[np.ndarray, " N"]) -> tuple[str, ...
             raise DatasetError(where, f"{len(cells)} columns, expected {len(header)}")
         window = _window(number(cells[0], where, "t_video"))
         given = (cells[place].strip() for place in tracks)
-        votes.setdefault(window, []).extend(_action(label) for label in given if label)
+        votes.setdefault(window, []).extend(  # one name for an action, written short or long
+            ACTIONS.get(label.capitalize(), label.replace("_", " ").lower()) for label in given if label
+        )
     winners = {window: modes[0] for window, labels in votes.items() if len(modes := multimode(labels)) == 1}
     return tuple(winners.get(_window(float(stamp)), NO_MAJORITY) for stamp in stamps)
 
@@ -88,8 +90,3 @@ def _frame_labels(file: Path, stamps: Float[np.ndarray, " N"]) -> tuple[str, ...
 def _window(stamp: float) -> int:
     """Index of the window a time [s] lies in; a time a rounding error short of a border counts as on it."""
     return int(np.floor(stamp / _WINDOW + 1e-6))
-
-
-def _action(label: str) -> str:
-    """One name for an action, written short or long."""
-    return ACTIONS.get(label.capitalize(), label.replace("_", " ").lower())

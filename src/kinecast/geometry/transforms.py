@@ -2,7 +2,7 @@
 
 `T_world_torso` carries a point from the torso frame into the world: p_world = T_world_torso · p_torso, and
 transforms compose by `@`: T_world_hand = T_world_torso @ T_torso_hand. Quaternions are w, x, y, z.
-SciPy's rotations are imported when first used: they take a quarter of a second, and predicting needs none.
+SciPy imports its rotations when they are first used: they take a quarter of a second, and predicting needs none.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from functools import partial
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
@@ -66,35 +67,27 @@ def from_quaternion(wxyz: Quaternions) -> Rotations:
     Raises:
         OptionError: a quaternion of length zero or with a NaN.
     """
-    from scipy.spatial.transform import Rotation
-
     if not np.all(np.linalg.norm(wxyz, axis=-1) > 0):
         raise OptionError("a quaternion of length zero or NaN is no rotation")
-    flat = Rotation.from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
+    flat = scipy.spatial.transform.Rotation.from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
     return flat.reshape(*wxyz.shape[:-1], 3, 3)
 
 
 def to_quaternion(rotation: Rotations) -> Quaternions:
     """(…, 4) unit quaternions w, x, y, z with w ≥ 0 of (…, 3, 3) rotation matrices."""
-    from scipy.spatial.transform import Rotation
-
-    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
-    return flat.reshape(*rotation.shape[:-2], 4)
+    turns = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3))
+    return turns.as_quat(canonical=True, scalar_first=True).reshape(*rotation.shape[:-2], 4)
 
 
 def from_rotation_vector(vector: Vectors) -> Rotations:
     """exp: (…, 3) rotation vectors (axis times angle) [rad] to (…, 3, 3) matrices."""
-    from scipy.spatial.transform import Rotation
-
-    flat = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
+    flat = scipy.spatial.transform.Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
     return flat.reshape(*vector.shape[:-1], 3, 3)
 
 
 def rotation_vector(rotation: Rotations) -> Vectors:
     """log: (…, 3, 3) rotation matrices to (…, 3) rotation vectors [rad], no longer than π."""
-    from scipy.spatial.transform import Rotation
-
-    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
+    flat = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
     return flat.reshape(*rotation.shape[:-2], 3)
 
 
