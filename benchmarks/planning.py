@@ -124,7 +124,7 @@ def random_problems(count: int, seconds: float) -> dict[str, Any]:
         took["rrt_connect"].append(time.perf_counter() - begin)
         solved["rrt_connect"].append(path is not None)
         begin = time.perf_counter()
-        plan = planner.plan(task.start, task.goal[None], 0.0, seconds, seed)
+        plan = planner.plan(task.start, task.goal[None], 0.0, seconds)
         took["kinecast"].append(time.perf_counter() - begin)
         solved["kinecast"].append(isinstance(plan, Plan))
         if isinstance(plan, Plan):

@@ -1,9 +1,8 @@
-"""What moves an arm: a real one (kinecast.robot.ur_driver), or a simulated one."""
+"""What moves the simulated arm; kinecast.robot.ur_driver, which is called alike, moves a real one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +11,7 @@ from kinecast.errors import OptionError
 from kinecast.robot.cell import Cell
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["ArmState", "Driver", "SimulatedDriver"]
+__all__ = ["ArmState", "SimulatedDriver"]
 
 HOLDS = 0.04
 """A cube is held when its centre is this near to where the fingers close [m]."""
@@ -31,30 +30,8 @@ class ArmState:
     closed: bool
 
 
-@runtime_checkable
-class Driver(Protocol):
-    """An arm with a gripper, told where to be at every step of its control."""
-
-    @property
-    def dt(self) -> float:
-        """Time between two steps [s]."""
-        ...
-
-    def state(self) -> ArmState:
-        """What the arm measures now."""
-        ...
-
-    def move(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-        """Sends the configuration [rad] to be at in the next step; returns the one really sent."""
-        ...
-
-    def grip(self, closed: bool) -> None:
-        """Closes or opens the gripper."""
-        ...
-
-
 class SimulatedDriver:
-    """A kinematic arm among cubes: goes where it is told, as fast as its joints can.
+    """A kinematic arm with a gripper among cubes: goes where it is told, as fast as its joints can.
 
     Args:
         arm: its kinematics.
@@ -69,15 +46,10 @@ class SimulatedDriver:
         self.arm = arm
         self.cubes = {cube.name: cube.position.copy() for cube in cell.cubes}
         self.held: str | None = None
-        self._dt = dt
+        self.dt = dt
         self._q = np.array(q, dtype=np.float64)
         self._closed = False
         self._below = cell.cubes[0].size / 2 - cell.grip
-
-    @property
-    def dt(self) -> float:
-        """Time between two steps [s]."""
-        return self._dt
 
     def state(self) -> ArmState:
         """Where the arm is; without noise."""
@@ -87,7 +59,7 @@ class SimulatedDriver:
         """Goes there, or as far as the joints' speeds allow, and takes a cube that is held with it."""
         if not np.isfinite(q).all():
             return self._q.copy()
-        furthest = self.arm.max_speed * self._dt
+        furthest = self.arm.max_speed * self.dt
         self._q = self._q + np.clip(q - self._q, -furthest, furthest)
         if self.held is not None:
             self.cubes[self.held] = self._between_fingers()

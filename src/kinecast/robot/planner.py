@@ -100,7 +100,6 @@ class Planner:
         goals: Float[np.ndarray, "G 6"],
         start_time: float,
         seconds: float = math.inf,
-        seed: int = 0,
     ) -> Plan | NoPlan:
         """A motion to whichever goal is reached soonest and free, with room around it.
 
@@ -109,7 +108,6 @@ class Planner:
             goals: (G, 6) [rad], any of them will do.
             start_time: when the motion starts [s].
             seconds: after which nothing new is begun; without an end the plan depends on the question alone.
-            seed: of the search.
 
         Returns:
             A plan that was checked, or why there is none.
@@ -138,7 +136,7 @@ class Planner:
                 return NoPlan(f"{blocked} is in the way; no way around it found in time")
             margin = SEARCH_MARGINS[attempt % len(SEARCH_MARGINS)]
             # Wide ways first; half of the time is kept for narrow ones.
-            corners = searched(self.checker, q, goals[order], margin, 0.5 * left, self.iterations, seed + attempt)
+            corners = searched(self.checker, q, goals[order], margin, 0.5 * left, self.iterations, attempt)
             if corners is None:
                 continue
             k = order[np.abs(goals[order] - corners[-1]).max(axis=1).argmin()]

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import TypeAlias
 
 from kinecast.errors import OptionError
 from kinecast.robot.choice import Choice, Request
@@ -39,27 +39,6 @@ Solve = Callable[[Request], Choice | NoPlan]
 """Chooses (kinecast.robot.choice)."""
 
 
-@runtime_checkable
-class Desk(Protocol):
-    """Takes one request at a time.
-
-    Attributes:
-        pending: what is being worked on.
-        latency: how long an answer is likely to take [s].
-    """
-
-    pending: Request | None
-    latency: float
-
-    def ask(self, request: Request, now: float) -> None:
-        """Hands a request in; one that is pending is dropped, and its answer never seen."""
-        ...
-
-    def answer(self, now: float) -> Answer | None:
-        """The answer, once, when it is there."""
-        ...
-
-
 class DeferredDesk:
     """Plans at once and hands the answer over a fixed time later: a simulation that is the same on every machine.
 
@@ -73,6 +52,7 @@ class DeferredDesk:
         if not latency >= 0:
             raise OptionError(f"latency {latency} s must be 0 or more")
         self.pending: Request | None = None
+        """What is being worked on."""
         self.latency = latency
         self.worked = 0.0
         """Time spent planning in all [s], so that whoever measures the rest can take it off."""
@@ -103,6 +83,7 @@ class ThreadDesk:
 
     def __init__(self, solve: Solve, latency: float = 0.1) -> None:
         self.pending: Request | None = None
+        """What is being worked on."""
         self.latency = latency
         self._solve = solve
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="planner")
@@ -124,6 +105,10 @@ class ThreadDesk:
     def close(self) -> None:
         """Ends the thread, once it is done with what it works on."""
         self._pool.shutdown(cancel_futures=True)
+
+
+Desk: TypeAlias = DeferredDesk | ThreadDesk
+"""Takes one request at a time: one that is pending is dropped for the next, and its answer never seen."""
 
 
 def _answered(solve: Solve, request: Request) -> Answer:

@@ -1,4 +1,4 @@
-"""A real Universal Robots arm (CB3, e-Series) as a `Driver`; on its controller runs `data/kinecast_ur.script`.
+"""A real Universal Robots arm (CB3, e-Series); on its controller runs `data/kinecast_ur.script`.
 
 How to set it up: docs/ur.md. What was decided: docs/decisions/0027.
 """

@@ -16,7 +16,6 @@ from benchmarks.rtde_server import EMERGENCY, NORMAL, PROTECTIVE, READY, Control
 
 from kinecast.cli import main
 from kinecast.errors import ArmError, OptionError
-from kinecast.robot.driver import Driver
 from kinecast.robot.rtde import Rtde
 from kinecast.robot.ur5 import UR5
 from kinecast.robot.ur_driver import FOLLOWS, LEAD, STANDS, ArmStatus, UrDriver
@@ -78,10 +77,7 @@ def stands(sent: list[tuple[int, np.ndarray]], event: int) -> None:
     assert (sent[-1][1] == sent[-3][1]).all()
 
 
-def test_it_is_a_driver_at_the_controllers_rate_and_stands_until_it_is_told(
-    controller: Controller, driver: UrDriver
-) -> None:
-    assert isinstance(driver, Driver)
+def test_it_works_at_the_controllers_rate_and_stands_until_it_is_told(controller: Controller, driver: UrDriver) -> None:
     assert driver.dt == controller.dt
     assert driver.status is ArmStatus.WAITING
     sent = run(driver, 20)
