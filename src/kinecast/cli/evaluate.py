@@ -85,8 +85,9 @@ def evaluate(
         cluster: spread the work over a Dask cluster that you trust: a scheduler's address, or N processes of this
             machine. Scores are the same to the last bit; latencies are those of the workers.
     """
-    if not 1 <= samples <= 100_000 or not 0 <= repeats <= 1000:
-        raise OptionError(f"samples {samples}, repeats {repeats}; allowed are 1..100000 and 0..1000")
+    import kinecast.evaluation.report  # noqa: F401 - drawing is an extra, whose lack is said before the work
+
+    _check_draws(samples, repeats)
     check_seed(seed)
     check_folder(out)
     names = _methods_asked(train, model, methods, ablate)
@@ -96,11 +97,11 @@ def evaluate(
     options = replace(saved.windows if saved else windows_told(told), stride=stride, label=label)
     with worker_pool(cluster) as workers:
         tested = read_recordings(test, format, "--test")
-        recordings, facts = _cut(tested, options, workers)
+        recordings, facts = _cut(tested, options, scene, workers)
         seen = [] if saved else unseen(read_recordings(train, format, "--train"), tested)
         compared = saved or train_methods(names, seen, options, obstacles, seed, workers)
         compared.warn_of_known(tested)
-        facts |= {"models": compared.files, "scene": scene and scene.name, "train": compared.trained_on}
+        facts = {"version": __version__, "train": compared.trained_on, "models": compared.files} | facts
         compared = compared.with_ablations() if ablate else compared
         scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
         _score(out, compared, recordings, obstacles, scores, facts, workers)
@@ -118,6 +119,11 @@ def demo(out: Folder = Path("kinecast-demo")) -> None:
     print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")
 
 
+def _check_draws(samples: int, repeats: int) -> None:
+    if not 1 <= samples <= 100_000 or not 0 <= repeats <= 1000:
+        raise OptionError(f"samples {samples}, repeats {repeats}; allowed are 1..100000 and 0..1000")
+
+
 def _methods_asked(train: Sequence[Path], model: Sequence[Path], methods: str, ablate: bool) -> list[str]:
     """Names of methods to train, where there are no models."""
     if bool(train) == bool(model):
@@ -131,13 +137,14 @@ def _methods_asked(train: Sequence[Path], model: Sequence[Path], methods: str, a
 
 
 def _cut(
-    tested: Sequence[Recording], options: WindowOptions, workers: Workers
+    tested: Sequence[Recording], options: WindowOptions, scene: Path | None, workers: Workers
 ) -> tuple[list[TestRecording], dict[str, Any]]:
     """Windows to be scored, and what is said of them."""
     parts = all_windows(tested, options, workers=workers)
     histories = all_windows(tested, every_frame(options), workers=workers)
-    facts = {name: getattr(options, name) for name in ("rate", "window", "horizon", "stride", "label")} | {
-        "version": __version__,
+    facts = {
+        **{name: getattr(options, name) for name in ("rate", "window", "horizon", "stride", "label")},
+        "scene": None if scene is None else scene.name,
         "test": [part.name for part in parts],
         "windows": sum(len(part) for part in parts),
         "windows_left_out": sum(part.lost + part.not_whole for part in parts),
@@ -154,7 +161,7 @@ def _score(
     facts: Mapping[str, Any],
     workers: Workers,
 ) -> None:
-    from kinecast.evaluation.report import format_table, run_evaluation  # here, since drawing is an extra
+    from kinecast.evaluation.report import format_table, run_evaluation
 
     methods = compared.methods
     if isinstance(workers, Serial):  # those of a cluster compile for themselves
