@@ -20,6 +20,7 @@ from numba import njit
 from kinecast.geometry.distances import point_distance
 from kinecast.geometry.shapes import Capsule
 from kinecast.robot.collision import FIRST_LINK
+from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import rest_to_rest
 from kinecast.robot.ur5 import LINKS, UR5, fixed_places
 
@@ -31,6 +32,10 @@ LARGEST_CHANGE = 0.1
 """Of an angle in one iteration [rad]."""
 SCENE_ZONE, PERSON_ZONE = 0.05, 0.10
 """The cost rises so far beyond the margin of the scene and of a person [m]."""
+WANTED = 1.0
+"""Speed v₀ of a body point that the arm wants beside people [m/s]: about what it reaches on the way to a cube."""
+TIME_WEIGHT = 0.3
+"""Of the time lost beside people, next to what is in the way."""
 PATIENCE, PROGRESS = 20, 1e-3
 """It stops after so many iterations in which the least distance did not grow by so much [m]."""
 SLOWEST = 5e-3
@@ -42,34 +47,27 @@ surface stands out from their balls by 0.24 radii, 0.014 m at most."""
 
 @dataclass(frozen=True, eq=False)
 class People:
-    """People beside the path, and what monitoring costs beside them: time, at v(d) = √(h² + 2 a (d − C)) − h.
+    """People beside the path, who cost time.
 
     Attributes:
         capsules: (W, K, 7) start, end and radius where they are when each waypoint is passed [m].
-        constant: C, the constant part of S_p [m].
-        half: h = v_h + a T_r [m/s].
-        braking: a [m/s²].
-        wanted: the speed v₀ that the arm wants [m/s].
-        weight: of the time lost beside the cost of what is in the way.
+        separation: monitoring, which allows v(d) = √(h² + 2 a (d − C)) − h, where h = v_h + a T_r.
     """
 
     capsules: Float[np.ndarray, "W K 7"]
-    constant: float
-    half: float
-    braking: float
-    wanted: float
-    weight: float
+    separation: SeparationOptions
 
     def price(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time lost per metre, 1/v(d) − 1/v₀, and its slope: straight on below v₀/4, and scaled by its slope there."""
-        h, a, least = self.half, self.braking, 0.25 * self.wanted
+        constant, a, least = self.separation.constant, self.separation.braking, 0.25 * WANTED
+        h = self.separation.least_speed + a * self.separation.reaction
         steepest = a / (least + h) / least**2
-        nearest = self.constant + ((least + h) ** 2 - h * h) / (2.0 * a)
-        root = np.sqrt(h * h + 2.0 * a * (np.maximum(distance, nearest) - self.constant))
-        speed = np.minimum(root - h, self.wanted)
-        slope = np.where(speed < self.wanted, -a / (root * speed**2) / steepest, 0.0)
-        lost = (1.0 / speed - 1.0 / self.wanted) / steepest + np.maximum(nearest - distance, 0.0)
-        return self.weight * lost, self.weight * slope
+        nearest = constant + ((least + h) ** 2 - h * h) / (2.0 * a)
+        root = np.sqrt(h * h + 2.0 * a * (np.maximum(distance, nearest) - constant))
+        speed = np.minimum(root - h, WANTED)
+        slope = np.where(speed < WANTED, -a / (root * speed**2) / steepest, 0.0)
+        lost = (1.0 / speed - 1.0 / WANTED) / steepest + np.maximum(nearest - distance, 0.0)
+        return TIME_WEIGHT * lost, TIME_WEIGHT * slope
 
 
 class Chomp:

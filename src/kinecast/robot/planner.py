@@ -43,10 +43,6 @@ SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)
 """Least distances from the scene that the descent keeps, in turn [m]."""
 SEARCH_MARGINS = (0.003, 0.001)
 """Kept by searched paths [m], in turn: what follows them cuts corners."""
-WANTED = 1.0
-"""Speed of a body point that the arm wants beside people [m/s]: about what it reaches on the way to a cube."""
-TIME_WEIGHT = 0.3
-"""Of the time lost beside people, in the cost of a way."""
 DRAWN_IN = (0.3, 0.3)
 """Distance from the arm's axis and height of a hand that is drawn in [m]."""
 ROOM, ROOM_WORTH = 0.1, 2.0
@@ -166,13 +162,10 @@ class Planner:
             start_time: [s].
             separation: of monitoring.
         """
-        half = separation.least_speed + separation.braking * separation.reaction
         goal = goals[plan.goal]
         for corners in (np.stack([q, goal]), *self._inside(q, goal)):
             path, times = _along(corners, BENT_WAYPOINTS, start_time)
-            beside = People(
-                people.rows_at(times), separation.constant, half, separation.braking, WANTED, TIME_WEIGHT
-            )  # fmt: skip
+            beside = People(people.rows_at(times), separation)
             path, _, _ = self._chomp.optimise(path, _straight(path), SCENE_MARGINS[0], beside, 25, 40)
             trajectory = _slow_enough(Trajectory(times, path))
             if not self.checker.check(trajectory):

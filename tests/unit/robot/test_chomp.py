@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kinecast.geometry.shapes import Capsule
+from kinecast.robot.cell import CAMERA
 from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
@@ -69,13 +70,13 @@ def test_it_knows_when_people_are_beside_it(arm: UR5) -> None:
     for here, moves in ((slice(0, 4), False), (slice(36, 40), False), (slice(0, 40), True)):
         capsules = rows.copy()
         capsules[here] = POST
-        people = People(capsules, 0.19, 0.3, 1.5, 1.0, 0.3)
+        people = People(capsules, CAMERA)
         path, _, _ = among(arm).optimise(STRAIGHT, STRAIGHT, 0.005, people, 25, 40)
         assert (np.abs(path - STRAIGHT).max() > 0.05) == moves
 
 
 def test_the_price_of_people_is_the_time_lost_and_its_slope_the_derivative() -> None:
-    people = People(np.empty((40, 1, 7)), 0.19, 0.3, 1.5, 1.0, 0.3)
+    people = People(np.empty((40, 1, 7)), CAMERA)
     distance = np.linspace(-0.2, 1.5, 200)
     price, slope = people.price(distance)
     numeric = (people.price(distance + 1e-6)[0] - people.price(distance - 1e-6)[0]) / 2e-6
