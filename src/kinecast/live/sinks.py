@@ -35,7 +35,7 @@ class Sink(Protocol):
     def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
-class Writing(Generic[Item]):
+class BackgroundWriter(Generic[Item]):
     """Writes what it is given in a thread of its own; of more than there is room for, the oldest that waits is dropped.
 
     What `write`, `expire` (at least every `LOOK` seconds) and `finish` raise is counted.
@@ -90,7 +90,7 @@ class Writing(Generic[Item]):
             self.counters.fail(error)
 
 
-class FileSink(Writing[Publication]):
+class FileSink(BackgroundWriter[Publication]):
     """A file of publications; one that is at the path is replaced, or an OSError raised."""
 
     def __init__(self, path: Path) -> None:

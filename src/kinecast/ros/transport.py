@@ -13,7 +13,7 @@ from kinecast.live.mailbox import Feed
 from kinecast.live.message import MessageError
 from kinecast.live.publication import Publication
 from kinecast.live.sender_guard import SenderGuard
-from kinecast.live.sinks import Writing
+from kinecast.live.sinks import BackgroundWriter
 from kinecast.ros.messages import Messages
 from kinecast.ros.publisher import Posting, PredictionPublisher
 from kinecast.ros.subscriber import SkeletonSubscriber
@@ -93,7 +93,7 @@ class RosSource:
             self.feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
 
 
-class RosSink(Writing[Publication]):
+class RosSink(BackgroundWriter[Publication]):
     """Predictions on topics; what was drawn or put into a scene is deleted once it expires. It closes its transport."""
 
     def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:
