@@ -51,7 +51,7 @@ STRIDE = 5
 STAGES = (
     ("cut windows", ("resampled_windows",)),
     ("fit experts and baselines",
-     ("fit", "network", "feature_scale", "joined")),
+     ("fit_gaussian", "network", "feature_scale", "joined")),
     ("examples for the gate", ("gate_examples",)),
     ("fit the gate", ("gate",)),
     ("examples for the error model", ("error_examples",)),

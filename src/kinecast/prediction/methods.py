@@ -99,9 +99,13 @@ def train(
             return PostureSeries.fitting(workers, windows, seed, noise)
         kind = PostureGaussian if name.endswith("_angles") else PositionGaussian
         fit = partial(_fit_mean, name.removesuffix("_angles"), seed, windows.dt)
-        return workers.submit(kind.fit, fit, data, noise)
+        return workers.submit(_fit_gaussian, kind, fit, data, noise)
 
     return dict(zip(names, workers.results([fitting(name) for name in names], progress), strict=True))
+
+
+def _fit_gaussian(kind: Any, fit: Any, windows: TrainingWindows, noise: float) -> Any:
+    return kind.fit(fit, windows, noise)
 
 
 def limits_of(windows: TrainingWindows) -> JointLimits:
