@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.body.skeleton import arms_of, of_arms
 from kinecast.body.torso_frame import UpSource, torso_frame, up_source
 from kinecast.body.tracking import Trouble, repair_window
 from kinecast.prediction.observation import Observation
@@ -70,7 +69,7 @@ class Track:
         self._follow_torso(frame)
         self.std = None
         if frame.std is not None:
-            stated = _of_arms(frame.joints, frame.std)
+            stated = of_arms(frame.joints, frame.std)
             self.std = np.where(np.isfinite(stated), stated.clip(0.0, 1.0), 0.0)  # what is not sensible says nothing
         return Status.REPEATED if repeated else Status.OK
 
@@ -132,20 +131,6 @@ class Track:
         if longest > LONG * self.dt:
             return Status.GAP
         return Status.REPEATED if trouble & Trouble.REPEATED else Status.OK
-
-
-def arms_of(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
-    """(6, 3) the arm joints of a frame [m]; NaN where not seen, or where it has fewer positions than names."""
-    return _of_arms(frame.joints, np.where(frame.valid[:, None], frame.positions, np.nan))
-
-
-def _of_arms(joints: Sequence[str], values: Float[np.ndarray, "J *n"]) -> Float[np.ndarray, "6 *n"]:
-    """What there is of each arm joint; NaN where there is none."""
-    arms = np.full((6, *values.shape[1:]), np.nan)
-    for row, name in enumerate(ARM_JOINTS):
-        if name in joints[: len(values)]:
-            arms[row] = values[joints.index(name)]
-    return arms
 
 
 def _interpolate(

@@ -11,7 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 
+import numpy as np
+from jaxtyping import Float
+
 from kinecast.errors import DatasetError
+from kinecast.types import SkeletonFrame
 
 ARM_JOINTS = (
     "left_shoulder", "left_elbow", "left_wrist",
@@ -195,3 +199,17 @@ SKELETONS = (
     LEGO_6, BVH_FOREARM, BVH_COLLAR,
 )  # fmt: skip
 """Every skeleton kinecast knows."""
+
+
+def arms_of(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
+    """(6, 3) the arm joints of a frame [m]; NaN where not seen, or where it has fewer positions than names."""
+    return of_arms(frame.joints, np.where(frame.valid[:, None], frame.positions, np.nan))
+
+
+def of_arms(joints: Sequence[str], values: Float[np.ndarray, "J *n"]) -> Float[np.ndarray, "6 *n"]:
+    """What there is of each arm joint; NaN where there is none."""
+    arms = np.full((6, *values.shape[1:]), np.nan)
+    for row, name in enumerate(ARM_JOINTS):
+        if name in joints[: len(values)]:
+            arms[row] = values[joints.index(name)]
+    return arms

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.body.skeleton import arms_of
 from kinecast.live.publication import Publication
-from kinecast.track import arms_of
 from kinecast.types import LIMBS
 
 Fields = dict[str, Any]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.body.skeleton import arms_of
 from kinecast.live.drawing import (
     SEEN,
     THICK,
@@ -23,7 +24,6 @@ from kinecast.live.drawing import (
     words_of,
 )
 from kinecast.live.publication import Publication, colour_of
-from kinecast.track import arms_of
 from kinecast.types import SkeletonFrame
 
 LIFETIME = 0.5  # how long what is drawn stays without a newer one [s]

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from kinecast.track import arms_of
+from kinecast.body.skeleton import arms_of
 from kinecast.types import Prediction, SkeletonFrame, Status, Tubes
 
 _GREEN, _AMBER, _RED = (0.25, 0.75, 0.35), (0.95, 0.65, 0.15), (0.9, 0.2, 0.2)

@@ -12,9 +12,9 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.shapes import Sphere
 from kinecast.robot.body import OccupancyOptions, body_capsules
-from kinecast.types import Prediction, SkeletonFrame, Status
+from kinecast.types import Prediction, Status
 
-__all__ = ["Occupancy", "arms_of", "is_trusted", "occupied", "reach_probabilities", "regions", "standing"]
+__all__ = ["Occupancy", "is_trusted", "occupied", "reach_probabilities", "regions", "standing"]
 
 STALE_AFTER = 0.1
 """A prediction older than this says no more than what can be reached [s]."""
@@ -99,12 +99,6 @@ def occupied(
 def is_trusted(prediction: Prediction, now: float) -> bool:
     """Whether a prediction says more than what can be reached: its status is OK, and it is not too old."""
     return prediction.status is Status.OK and now - prediction.stamp <= STALE_AFTER + 1e-9
-
-
-def arms_of(frame: SkeletonFrame) -> Float[np.ndarray, "6 3"]:
-    """(6, 3) the six arm joints of a frame; NaN where it has none."""
-    place = dict(zip(frame.joints, frame.positions, strict=True))
-    return np.stack([place.get(name, np.full(3, np.nan)) for name in ARM_JOINTS])
 
 
 def standing(prediction: Prediction) -> Prediction:

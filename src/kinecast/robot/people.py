@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.body.skeleton import arms_of
 from kinecast.robot.body import BodyCapsules, OccupancyOptions, body_capsules
 from kinecast.robot.camera import Shot
 from kinecast.robot.motions import Motions, PoseHistory, motions_of
-from kinecast.robot.occupancy import arms_of, is_trusted, occupied, reach_probabilities, standing
+from kinecast.robot.occupancy import is_trusted, occupied, reach_probabilities, standing
 from kinecast.types import Prediction, SkeletonFrame
 
 __all__ = ["PeopleModel", "Seen"]

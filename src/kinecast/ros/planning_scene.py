@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.body.skeleton import arms_of
 from kinecast.live.drawing import Fields, points, pose, turn_of_z
 from kinecast.live.publication import Publication
-from kinecast.track import arms_of
 from kinecast.types import LIMBS
 
 LIMB_NAMES = ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm")

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinecast.body.skeleton import arms_of
 from kinecast.errors import OptionError
 from kinecast.live.drawing import SEEN, THICK, THIN, Colour, Fields, fading, limb_ends, points, pose, rgba, words_of
 from kinecast.live.publication import UPPER_TRIANGLE, Publication, colour_of
 from kinecast.ros.planning_scene import CollisionObjects
-from kinecast.track import arms_of
 from kinecast.types import Status
 
 OUTPUTS = ("prediction", "markers", "poses", "planning_scene")
