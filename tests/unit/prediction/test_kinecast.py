@@ -312,14 +312,15 @@ class TestGate:
         assert (better[3, :, 2] > weights[3, :, 2]).all()
         np.testing.assert_array_equal(np.delete(better, 2, axis=2), np.delete(weights, 2, axis=2))
 
-    def test_it_learns_whom_to_trust(self) -> None:
+    def test_it_learns_whom_to_trust(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(weights, "FIT_STEPS", 300)
         rng = np.random.default_rng(1)
         futures = 0.1 * rng.standard_normal((300, 3, 6, 3))
         made = futures[:, None] + 0.3 * rng.standard_normal((300, 4, 3, 6, 3))
         made[:, 2] = futures + 0.001
         gate = fit_gate(np.zeros((300, 4, 6, 4)), np.zeros((300, 6, 5)), made, futures, seed=0)
-        weights = gate.weights(GateInputs(np.zeros((4, 6, 4)), np.zeros((6, 5))), 3)
-        assert (weights[2] > 0.8).all()
+        found = gate.weights(GateInputs(np.zeros((4, 6, 4)), np.zeros((6, 5))), 3)
+        assert (found[2] > 0.8).all()
 
 
 def heavy_tailed(seed: int, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
