@@ -14,7 +14,7 @@ MUTED: Colour = (110, 118, 127)
 CUBE_COLOURS: dict[str, Colour] = {"red": (212, 54, 44), "green": (42, 157, 75), "blue": (37, 102, 200)}
 """Of cubes, their places and the path to each."""
 SKIN: Colour = (224, 176, 140)
-SHIRT: Colour = (132, 150, 172)
+SHIRT: Colour = (92, 126, 178)
 SKIN_PARTS = (False, True, True, False, True, True, False, False, True)
 """Of kinecast.robot.body.body_capsules: forearms, hands and head; the others are shirt."""
 
