@@ -76,7 +76,7 @@ def _check_wrists(lines: list[dict[str, Any]]) -> None:
         points = observed[:, ARM_JOINTS.index(joint)]
         settled = np.isfinite(points).all(axis=1) & (stamps > 0.3)
         assert settled.mean() > 0.6
-        settled &= np.diff(stamps, prepend=-1.0) < 1.5 / RATE  # after a picture that a busy machine skips it smooths more
+        settled &= np.diff(stamps, prepend=-1.0) < 1.5 / RATE  # where none was skipped: it smooths more then
         assert settled.sum() >= 8
         pixels = CAMERA.project(points[settled])[0]
         of_photograph = (pixels - views[settled, :, 2]) / views[settled, :1, 0]
