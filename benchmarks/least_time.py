@@ -26,9 +26,9 @@ from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Option, grasp_rows
 from kinecast.robot.expected_time import travel_time
 from kinecast.robot.motions import STEP, Motions
-from kinecast.robot.person import Person
 from kinecast.robot.pick_place import GraspConfigurations, Step
 from kinecast.robot.planner import NoPlan, Planner
+from kinecast.robot.simulated_person import Person
 from kinecast.robot.simulation import UPRIGHT
 from kinecast.robot.ur5 import UR5
 

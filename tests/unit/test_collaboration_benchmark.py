@@ -20,7 +20,7 @@ from benchmarks.least_time import Ways
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import generated_person
 from kinecast.robot.outcome import Outcome
-from kinecast.robot.person import PlayedPerson
+from kinecast.robot.simulated_person import PlayedPerson
 
 
 def run(monkeypatch: pytest.MonkeyPatch, folder: Path, episodes: int, limit: float = 0.4) -> dict[str, Any]:

@@ -12,9 +12,9 @@ from tyro.conf import Positional, arg
 
 from kinecast.cli.options import check_folder
 from kinecast.cli.progress import CONSOLE
-from kinecast.datasets.download import download as fetch
-from kinecast.datasets.download import public_sets
 from kinecast.datasets.model_cache import cache_folder, fetch_model
+from kinecast.datasets.remote_file import download as fetch
+from kinecast.datasets.remote_file import public_sets
 
 OutFolder = Annotated[
     Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: recordings; of models the cache folder)")

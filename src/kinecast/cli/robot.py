@@ -238,12 +238,12 @@ def warm_up(samples: int) -> None:
 
 def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
     """The cell's episode by a real arm, while there is a source and nothing stops it; what is decided, in lines."""
-    from kinecast.robot.camera import Shot
+    from kinecast.robot.async_planner import ThreadPlanner
+    from kinecast.robot.camera import CameraFrame
     from kinecast.robot.cell import Cell
     from kinecast.robot.choice import Chooser
     from kinecast.robot.execution import Executor
     from kinecast.robot.planner import Planner
-    from kinecast.robot.planning_desk import ThreadDesk
     from kinecast.robot.supervisor import Supervisor
     from kinecast.robot.ur_driver import ArmStatus
 
@@ -257,15 +257,15 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
 
     per_step = max(round(STEP / driver.dt), 1)
     q = driver.state().q
-    with closing(ThreadDesk(Chooser(Planner(arm, cell.scene), cell).choose)) as desk:
-        supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), desk)
+    with closing(ThreadPlanner(Chooser(Planner(arm, cell.scene), cell).choose)) as planner:
+        supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), planner)
         closed, newest = driver.state().closed, 0.0
         driver.resume()
         while driver.status is ArmStatus.OK and not supervisor.done and not people.ended:
             now = time.monotonic()
             for frame, prediction in people.seen():  # a shot each: two of one instant would pass for the same one
                 newest = max(frame.stamp, newest + 1e-6)
-                supervisor.see(Shot(newest, now, (frame,)), [prediction], now)
+                supervisor.see(CameraFrame(newest, now, (frame,)), [prediction], now)
             command = supervisor.control(now)
             if command.news:
                 yield f"{command.decision.state.name.lower():10}  {command.decision.reason}"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kinecast.robot.body import OccupancyOptions
     from kinecast.robot.episode import Episode
     from kinecast.robot.outcome import Outcome
-    from kinecast.robot.person import PlayedPerson
+    from kinecast.robot.simulated_person import PlayedPerson
     from kinecast.robot.simulation import Simulation
     from kinecast.types import Decision
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.progress import Progress
 
-from kinecast.datasets.download import PublicSet, RemoteFile, download, public_sets
+from kinecast.datasets.remote_file import PublicSet, RemoteFile, download, public_sets
 from kinecast.errors import DownloadError, OptionError
 
 FOLDER = "KINECAST_MODELS"
@@ -45,7 +45,7 @@ def fetch_model(
     Args:
         name: one of `public_sets()` with a model.
         folder: where it goes; nothing is written outside it.
-        progress, url, patience: as in `kinecast.datasets.download.download`.
+        progress, url, patience: as in `kinecast.datasets.remote_file.download`.
 
     Returns:
         The model's file, with the right checksum.

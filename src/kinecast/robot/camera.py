@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kinecast.robot.person import Person
+from kinecast.robot.simulated_person import Person
 from kinecast.types import SkeletonFrame
 
-__all__ = ["Camera", "Shot"]
+__all__ = ["Camera", "CameraFrame"]
 
 RATE = 30.0
 """Of shots [Hz]."""
 
 
 @dataclass(frozen=True)
-class Shot:
+class CameraFrame:
     """Everybody seen at one instant. An empty one says that nobody is there; a silent camera says nothing."""
 
     stamp: float  # when it was taken [s]
@@ -38,7 +38,7 @@ class Camera:
     seed: int = 0  # of the noise
     _next: int = field(default=0, init=False)
 
-    def shots(self, now: float, people: Sequence[Person]) -> list[Shot]:
+    def shots(self, now: float, people: Sequence[Person]) -> list[CameraFrame]:
         """Shots that have become known by now and were not handed over before, oldest first."""
         due = []
         while (stamp := self._next / RATE) + self.delay <= now + 1e-9:
@@ -46,7 +46,7 @@ class Camera:
             if not (rng.random() < self.dropped or _within(stamp, self.silent)):
                 frames = [self._frame(rng, stamp, person, pose) for person in people
                           if (pose := person.at(stamp)) is not None]  # fmt: skip
-                due.append(Shot(stamp, stamp + self.delay, tuple(frames)))
+                due.append(CameraFrame(stamp, stamp + self.delay, tuple(frames)))
             self._next += 1
         return due
 

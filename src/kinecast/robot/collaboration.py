@@ -27,7 +27,7 @@ from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell, standing_at
-from kinecast.robot.person import Person, PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import Person, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.types import Prediction, SkeletonFrame, Status
 

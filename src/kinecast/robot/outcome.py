@@ -16,7 +16,7 @@ from kinecast.datasets.summary import runs
 from kinecast.evaluation.output import write_atomically
 from kinecast.robot.cell import Cell
 from kinecast.robot.episode import Episode
-from kinecast.robot.person import Person
+from kinecast.robot.simulated_person import Person
 from kinecast.types import Decision, Reaction, RobotState
 
 __all__ = ["Outcome", "outcome_of", "write_episodes"]

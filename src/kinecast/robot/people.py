@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from kinecast.body.skeleton import arms_of
 from kinecast.robot.body import BodyCapsules, OccupancyOptions, body_capsules
-from kinecast.robot.camera import Shot
+from kinecast.robot.camera import CameraFrame
 from kinecast.robot.motions import Motions, PoseHistory, motions_of
 from kinecast.robot.occupancy import is_trusted, occupied, reach_probabilities, standing
 from kinecast.types import Prediction, SkeletonFrame
@@ -76,7 +76,7 @@ class PeopleModel:
         """Who is there, as far as is known."""
         return tuple(self._tracks)
 
-    def see(self, shot: Shot, predictions: Sequence[Prediction] = ()) -> None:
+    def see(self, shot: CameraFrame, predictions: Sequence[Prediction] = ()) -> None:
         """Takes in a shot, and what is predicted from it for each person; an older shot is passed over."""
         if not np.isfinite(shot.stamp) or shot.stamp <= self.newest:
             return

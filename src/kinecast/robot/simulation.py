@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from kinecast.robot.async_planner import DeferredPlanner, Solve
 from kinecast.robot.body import TRUE_BODY, OccupancyOptions, body_capsules
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
@@ -14,11 +15,10 @@ from kinecast.robot.choice import Chooser
 from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
 from kinecast.robot.execution import Executor
-from kinecast.robot.person import Person, ReactivePerson
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
-from kinecast.robot.planning_desk import DeferredDesk, Solve
 from kinecast.robot.separation import Separation, SeparationOptions, separation
+from kinecast.robot.simulated_person import Person, ReactivePerson
 from kinecast.robot.supervisor import Command, Supervisor
 from kinecast.robot.ur5 import UR5, LinkCapsules
 from kinecast.types import Prediction, SkeletonFrame
@@ -72,8 +72,8 @@ class Simulation:
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
         chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
-        self.desk = DeferredDesk(solve or chooser.choose, clock=clock)
-        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.desk, body)
+        self.planner = DeferredPlanner(solve or chooser.choose, clock=clock)
+        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.planner, body)
         self.episode = Episode()
 
     def run(self) -> Episode:
@@ -99,12 +99,12 @@ class Simulation:
     def _step(self, now: float) -> Command:
         episode, supervisor = self.episode, self.supervisor
         shots = self.camera.shots(now, self.people)
-        began, planned = self._clock(), self.desk.worked
+        began, planned = self._clock(), self.planner.worked
         for shot in shots:
             predictions = [self.predict(frame, now) for frame in shot.frames]
             supervisor.see(shot, [each for each in predictions if each is not None], now)
         command = supervisor.control(now)
-        planning = self.desk.worked - planned
+        planning = self.planner.worked - planned
         if shots:
             episode.latencies.append(self._clock() - began - planning)
         if planning > 0:

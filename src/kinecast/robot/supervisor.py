@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.robot.async_planner import AsyncPlanner
 from kinecast.robot.body import OccupancyOptions
-from kinecast.robot.camera import Shot
+from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Request, options_for
 from kinecast.robot.execution import Executor
@@ -25,7 +26,6 @@ from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.motions import STEP
 from kinecast.robot.people import PeopleModel
 from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
-from kinecast.robot.planning_desk import Desk
 from kinecast.robot.separation import Separation
 from kinecast.robot.speed_limit import LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
 from kinecast.robot.task_sequence import TaskSequence
@@ -84,14 +84,14 @@ class Supervisor:
         arm: its kinematics.
         cell: what is to be done, and where.
         executor: follows paths; stands where the arm stands.
-        desk: where plans are asked for.
+        planner: where plans are asked for.
         body: radii of the people's limbs.
     """
 
     def __init__(
-        self, arm: UR5, cell: Cell, executor: Executor, desk: Desk, body: OccupancyOptions | None = None
+        self, arm: UR5, cell: Cell, executor: Executor, planner: AsyncPlanner, body: OccupancyOptions | None = None
     ) -> None:
-        self.arm, self.cell, self.executor, self.desk = arm, cell, executor, desk
+        self.arm, self.cell, self.executor, self.planner = arm, cell, executor, planner
         self.people = PeopleModel(body)
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
@@ -128,7 +128,7 @@ class Supervisor:
         end = float(self._trajectory.times[-1])
         return self._trajectory.at(end - self.executor.remaining + seconds)[0]
 
-    def see(self, shot: Shot, predictions: Sequence[Prediction], now: float) -> None:
+    def see(self, shot: CameraFrame, predictions: Sequence[Prediction], now: float) -> None:
         """Takes in a shot and what is predicted from it, one prediction a person; none means: nothing is predicted."""
         try:
             self.people.see(shot, predictions)
@@ -179,7 +179,7 @@ class Supervisor:
     @property
     def busy(self) -> bool:
         """Whether an answer is waited for, or followed as soon as the arm stands."""
-        return self.desk.pending is not None or self._next is not None
+        return self.planner.pending is not None or self._next is not None
 
     def _evade(self, now: float) -> None:
         """Draws back where it is held for long, and takes its step up again from there."""
@@ -299,11 +299,11 @@ class Supervisor:
             self._no_way("out of reach", now)
             return
         self._asked = now
-        stop, seconds = self.executor.stopping(self.desk.latency)
-        start_time = now + max(self.desk.latency, seconds)
+        stop, seconds = self.executor.stopping(self.planner.latency)
+        start_time = now + max(self.planner.latency, seconds)
         present = self._present() if why == "better" else None
         motions = None if self.step is Step.REST else self.people.motions(now)
-        self.desk.ask(Request(options, stop, start_time, start_time - now, motions, present, why), now)
+        self.planner.ask(Request(options, stop, start_time, start_time - now, motions, present, why), now)
 
     def _present(self) -> Float[np.ndarray, "W 6"] | None:
         """Configurations `STEP` apart in which it goes on as it does, to the end of what it is about to do [rad]."""
@@ -323,7 +323,7 @@ class Supervisor:
             else:  # it was held on the way and came to rest elsewhere
                 self._stand(self.step)
                 self._ask("path", now)
-        answer = self.desk.answer(now)
+        answer = self.planner.answer(now)
         if answer is None:
             return
         if answer.choice is not None:

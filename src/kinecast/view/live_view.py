@@ -14,7 +14,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.live.counters import SinkCounters
 from kinecast.live.publication import Publication, colour_of
 from kinecast.types import LIMBS
-from kinecast.view.nodes import People, ahead, draw_floor, draw_scene, tubes
+from kinecast.view.scene_nodes import People, ahead, draw_floor, draw_scene, tubes
 from kinecast.view.server import open_server, stop_server, url_of
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from kinecast.robot.colours import INK, MUTED, cube_colour
 from kinecast.robot.episode import SceneSnapshot
 from kinecast.robot.ur5 import LINKS, UR5
 from kinecast.types import RobotState
-from kinecast.view.nodes import CapsulesNode, People, ahead, draw_floor, tubes
+from kinecast.view.scene_nodes import CapsulesNode, People, ahead, draw_floor, tubes
 
 __all__ = ["Stage", "look"]
 

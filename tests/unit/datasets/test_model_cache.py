@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from kinecast.datasets import download, model_cache
-from kinecast.datasets.download import PublicSet, RemoteFile, public_sets
 from kinecast.datasets.model_cache import cache_folder, cached_model, fetch_model
+from kinecast.datasets.remote_file import PublicSet, RemoteFile, public_sets
 from kinecast.errors import DownloadError, OptionError
 
 from ...conftest import Server

@@ -10,7 +10,7 @@ import pytest
 from kinecast.robot.cell import Cell
 from kinecast.robot.episode import Episode, Tick
 from kinecast.robot.outcome import outcome_of
-from kinecast.robot.person import PlayedPerson
+from kinecast.robot.simulated_person import PlayedPerson
 from kinecast.types import Decision, Reaction, RobotState
 
 CELL = Cell()

@@ -10,7 +10,7 @@ from kinecast.errors import OptionError
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import replayed_person
-from kinecast.robot.person import PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
 from kinecast.robot.ur5 import LinkCapsules
 
 JOINTS = (

@@ -12,7 +12,7 @@ from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import generated_person, predictor_named, simulate_scenario
 from kinecast.robot.outcome import outcome_of
-from kinecast.robot.person import PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState
 
@@ -35,7 +35,7 @@ def test_it_follows_another_path_within_150_ms_of_the_first_prediction_that_says
         if decision.reaction is Reaction.CHANGE_CUBE:
             assert decision.target == "blue"
             switched = min(switched, decision.stamp)
-        if decision.target == "blue" and simulation.desk.pending is None:
+        if decision.target == "blue" and simulation.planner.pending is None:
             follows = decision.stamp
             break
     moving = [tick.arm_speed for tick in simulation.episode.ticks if said - 0.05 < tick.stamp < said]

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.robot.async_planner import Solve
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell, cell_named
 from kinecast.robot.choice import Choice, Chooser, Request
 from kinecast.robot.episode import Episode
-from kinecast.robot.person import Person, PlayedPerson
 from kinecast.robot.planner import NoPlan, Planner
-from kinecast.robot.planning_desk import Solve
+from kinecast.robot.simulated_person import Person, PlayedPerson
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Decision, Prediction, RobotState, SkeletonFrame, Status
@@ -220,9 +220,9 @@ def test_what_cannot_be_used_stops_the_arm_without_an_exception() -> None:
     bad = SkeletonFrame(0.5, JOINTS, np.zeros((3, 3)), "a")
     for k, command in enumerate(simulation.steps()):
         if k == 28:
-            from kinecast.robot.camera import Shot
+            from kinecast.robot.camera import CameraFrame
 
-            simulation.supervisor.see(Shot(0.55, 0.56, (bad,)), [], 0.56)
+            simulation.supervisor.see(CameraFrame(0.55, 0.56, (bad,)), [], 0.56)
             assert simulation.supervisor.control(0.56).decision.state is RobotState.STOPPED
             break
         assert command.decision is not None

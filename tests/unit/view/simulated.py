@@ -6,7 +6,7 @@ import numpy as np
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.camera import Camera
-from kinecast.robot.person import PlayedPerson
+from kinecast.robot.simulated_person import PlayedPerson
 from kinecast.robot.simulation import Simulation
 
 POSE = np.array(

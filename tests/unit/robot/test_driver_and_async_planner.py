@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
+from kinecast.robot.async_planner import AsyncPlanner, DeferredPlanner, ThreadPlanner
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Chooser, Option, Request
 from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.pick_place import VERTICAL, Step, nearest, postures, straight
 from kinecast.robot.planner import NoPlan, Plan, Planner
-from kinecast.robot.planning_desk import DeferredDesk, Desk, ThreadDesk
 from kinecast.robot.ur5 import UR5
 
 START = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
@@ -96,17 +96,17 @@ def request(arm: UR5, cell: Cell) -> Request:
 
 
 def test_a_deferred_desk_answers_after_its_latency_and_once(arm: UR5, cell: Cell) -> None:
-    desk = DeferredDesk(Chooser(Planner(arm, cell.scene), cell).choose, 0.1)
-    assert isinstance(desk, Desk)
-    desk.ask(request(arm, cell), 1.0)
-    assert desk.pending is not None
-    assert desk.answer(1.09) is None
-    answer = desk.answer(1.1)
+    planner = DeferredPlanner(Chooser(Planner(arm, cell.scene), cell).choose, 0.1)
+    assert isinstance(planner, AsyncPlanner)
+    planner.ask(request(arm, cell), 1.0)
+    assert planner.pending is not None
+    assert planner.answer(1.09) is None
+    answer = planner.answer(1.1)
     assert answer is not None
     assert answer.choice is not None
     assert isinstance(answer.choice.plan, Plan)
-    assert desk.answer(1.2) is None
-    assert desk.pending is None
+    assert planner.answer(1.2) is None
+    assert planner.pending is None
 
 
 @pytest.mark.parametrize("threaded", [False, True])
@@ -115,11 +115,11 @@ def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm
         raise ValueError("broken")
 
     for solve, crashed, words in ((broken, True, "broken"), (lambda _: NoPlan("no way"), False, "no way")):
-        desk: DeferredDesk | ThreadDesk = ThreadDesk(solve) if threaded else DeferredDesk(solve, 0.0)
-        desk.ask(request(arm, cell), 0.0)
+        planner: DeferredPlanner | ThreadPlanner = ThreadPlanner(solve) if threaded else DeferredPlanner(solve, 0.0)
+        planner.ask(request(arm, cell), 0.0)
         answer = None
         for _ in range(6000):
-            answer = desk.answer(1.0)
+            answer = planner.answer(1.0)
             if answer is not None:
                 break
             time.sleep(0.01)
@@ -127,8 +127,8 @@ def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm
         assert answer.choice is None
         assert answer.crashed is crashed
         assert words in answer.reason
-        if isinstance(desk, ThreadDesk):
-            desk.close()
+        if isinstance(planner, ThreadPlanner):
+            planner.close()
 
 
 def test_a_thread_does_not_make_the_asker_wait(arm: UR5, cell: Cell) -> None:
@@ -137,8 +137,8 @@ def test_a_thread_does_not_make_the_asker_wait(arm: UR5, cell: Cell) -> None:
     def slow(_: Request) -> Choice | NoPlan:
         return NoPlan("waited for" if asked_for.wait(60.0) else "never asked for")
 
-    desk = ThreadDesk(slow)
-    desk.ask(request(arm, cell), 0.0)
-    assert desk.answer(0.0) is None
+    planner = ThreadPlanner(slow)
+    planner.ask(request(arm, cell), 0.0)
+    assert planner.answer(0.0) is None
     asked_for.set()
-    desk.close()
+    planner.close()

@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from kinecast.datasets.download import download, public_sets
+from kinecast.datasets.remote_file import download, public_sets
 from kinecast.errors import DownloadError, OptionError
 
 from ...conftest import Server

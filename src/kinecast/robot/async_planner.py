@@ -13,7 +13,7 @@ from kinecast.errors import OptionError
 from kinecast.robot.choice import Choice, Request
 from kinecast.robot.planner import NoPlan
 
-__all__ = ["Answer", "DeferredDesk", "Desk", "Solve", "ThreadDesk"]
+__all__ = ["Answer", "AsyncPlanner", "DeferredPlanner", "Solve", "ThreadPlanner"]
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ Solve = Callable[[Request], Choice | NoPlan]
 """Chooses (kinecast.robot.choice)."""
 
 
-class DeferredDesk:
+class DeferredPlanner:
     """Plans at once and hands the answer over a fixed time later: a simulation that is the same on every machine.
 
     Args:
@@ -73,7 +73,7 @@ class DeferredDesk:
         return self._answer
 
 
-class ThreadDesk:
+class ThreadPlanner:
     """Plans in a thread of its own, beside a real arm.
 
     Args:
@@ -107,7 +107,7 @@ class ThreadDesk:
         self._pool.shutdown(cancel_futures=True)
 
 
-Desk: TypeAlias = DeferredDesk | ThreadDesk
+AsyncPlanner: TypeAlias = DeferredPlanner | ThreadPlanner
 """Takes one request at a time: one that is pending is dropped for the next, and its answer never seen."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinecast.geometry.shapes import Capsule
-from kinecast.view.nodes import capsule_faces, capsule_vertices
+from kinecast.view.scene_nodes import capsule_faces, capsule_vertices
 
 
 def test_corners_lie_on_the_capsules() -> None:
