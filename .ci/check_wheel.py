@@ -39,8 +39,8 @@ for module in pkgutil.walk_packages(kinecast.__path__, "kinecast.", onerror=lamb
     try:
         importlib.import_module(module.name)
     except MissingExtraError as error:
-        assert f"pip install 'kinecast[{error.extra}]'" in str(error), error
-        extras.add(error.extra)
+        assert f"pip install 'kinecast[{error.args[1]}]'" in str(error), error
+        extras.add(error.args[1])
 print("core only; extras that modules ask for:", *sorted(extras))
 """
 
