@@ -12,11 +12,19 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import unquote
 
+import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Unit tests check the shape of every array that a function takes; the others run as fast as users do."""
+    jaxtyping.config.update("jaxtyping_disable", "unit" not in item.path.parts)
+
 
 settings.register_profile("kinecast", deadline=None, derandomize=True)
 settings.load_profile("kinecast")

@@ -9,11 +9,9 @@ from __future__ import annotations
 import copy
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -36,16 +34,10 @@ from .score import (
 
 LONG = ("ha4m", "generated_goals", "fitted")
 """Runs that others are much like, or whose tolerances are wide; all are run with KINECAST_LONG=1."""
+QUICK = ("damped_velocity", "kinecast")
+"""Models that are scored without KINECAST_LONG=1."""
 FASTER = 1.05
 """A model is made worse by making everything it expects to move go so many times as far."""
-
-
-@pytest.fixture(autouse=True)
-def _without_checks() -> Iterator[None]:
-    """Thousands of windows are too many to check every shape in; the unit tests do."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +65,8 @@ def test_scores_are_as_recorded(name: str, recorded: dict[str, Any], request: py
         request.getfixturevalue("data_root")
     elif DATA.exists() and "KINECAST_LONG" not in os.environ:
         pytest.skip("the recordings tell more; set KINECAST_LONG=1 for generated people too")
-    found = run(name)
+    quick = None if "KINECAST_LONG" in os.environ or RUNS[name].train else [model_file(each) for each in QUICK]
+    found = run(name, models=quick)
     wrong = {entry: differences(*found[entry], recorded[entry]) for entry in found}
     assert not any(wrong.values()), "\n".join(f"{entry}: {each}" for entry, own in wrong.items() for each in own)
 
