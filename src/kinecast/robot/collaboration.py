@@ -63,7 +63,7 @@ SCENARIOS = {
     ),
     "reorder": Scenario(
         "Green is next, but the person is predicted to take it: blue first, green once it is free.",
-        (("green", 6.3, 3.0),),
+        (("green", 7.5, 3.0),),
     ),
     "replan": Scenario(
         "The robot is on its way to green when the person reaches for it: blue instead, in mid-motion.",
