@@ -6,13 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from kinecast.cameras.pinhole import PinholeCamera
+from kinecast.errors import MissingExtraError
 from kinecast.live.publication import Publication, colour_of
 from kinecast.types import LIMBS, Status
+
+try:
+    import cv2
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("pictures of a camera", "webcam") from error
 
 _SIDE = ("shoulder", "elbow", "wrist"), ("shoulder", "hip", "knee", "ankle")
 BONES = (

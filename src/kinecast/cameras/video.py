@@ -8,11 +8,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from kinecast.errors import OptionError
+from kinecast.errors import MissingExtraError, OptionError
+
+try:
+    import cv2
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("a camera", "webcam") from error
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video is opened; it would print of its own
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

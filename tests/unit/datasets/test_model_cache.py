@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinecast.datasets import download, model_cache
+from kinecast.datasets import model_cache, remote_file
 from kinecast.datasets.model_cache import cache_folder, cached_model, fetch_model
 from kinecast.datasets.remote_file import PublicSet, RemoteFile, public_sets
 from kinecast.errors import DownloadError, OptionError
@@ -39,7 +39,7 @@ def offer(server: Server, archive: bytes, monkeypatch: pytest.MonkeyPatch) -> No
     server.files["net.zip"] = archive
     files = (remote("net.zip", archive),)
     public = PublicSet("net", "a network", "MIT", "home", server.url, files, remote("net.onnx", NETWORK))
-    for module in (download, model_cache):
+    for module in (remote_file, model_cache):
         monkeypatch.setattr(module, "public_sets", lambda: {"net": public})
 
 
