@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from kinecast.geometry.transforms import rotation_z
 from kinecast.robot.cell import Cell
-from kinecast.robot.trajectory import Trajectory
+from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import LINKS, UR5
 
 __all__ = ["GraspConfigurations", "Step", "nearest", "postures", "straight"]
@@ -118,8 +118,7 @@ def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], st
     """
     T = arm.forward_kinematics(q)
     way = to - T[:3, 3]
-    tau = np.linspace(0.0, 1.0, WAYPOINTS)
-    share = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))  # minimum jerk: its peak speed is 15/8 of its mean
+    share = minimum_jerk(WAYPOINTS)  # its peak speed is 15/8 of its mean
     duration = max(1.875 * float(np.linalg.norm(way)) / VERTICAL, 0.1)
     rows = [np.asarray(q, dtype=np.float64)]
     for s in share[1:]:
@@ -131,7 +130,7 @@ def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], st
             return None
         apart = choices[int(np.argmin(change))] - rows[-1]
         rows.append(rows[-1] + (apart + np.pi) % (2 * np.pi) - np.pi)
-    return Trajectory(start_time + duration * tau, np.array(rows))
+    return Trajectory(start_time + np.linspace(0.0, duration, WAYPOINTS), np.array(rows))
 
 
 class GraspConfigurations:
