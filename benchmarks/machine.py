@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from kinecast.evaluation.output import write_atomically
+from kinecast.output import write_atomically
 
 PACKAGES = {"numpy": "numpy", "numba": "numba", "scipy": "scipy", "scikit-learn": "sklearn", "pyswarms": "pyswarms"}
 """What figures depend on, where it is installed, and the name it is imported by."""

@@ -22,8 +22,8 @@ def write_atomically(path: Path, content: bytes) -> None:
         OSError: it cannot be written; nothing is left behind.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _draft(path.parent, path.name) as draft:
-        part = draft / "part"
+    with draft(path.parent, path.name) as folder:
+        part = folder / "part"
         part.write_bytes(content)
         part.replace(path)
 
@@ -42,19 +42,19 @@ def all_or_none(folder: Path) -> Iterator[Path]:
         OSError: the folder cannot be written.
     """
     near = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
-    with _draft(near, folder.name) as draft:
-        yield draft
+    with draft(near, folder.name) as part:
+        yield part
         folder.mkdir(parents=True, exist_ok=True)
-        for file in sorted(draft.iterdir()):
+        for file in sorted(part.iterdir()):
             file.replace(folder / file.name)
 
 
 @contextmanager
-def _draft(near: Path, name: str) -> Iterator[Path]:
-    """A folder beside what is written, which goes whatever happens."""
+def draft(near: Path, name: str) -> Iterator[Path]:
+    """A folder in another, beside what is to be there under a name once it is whole; it goes whatever happens."""
     BEING_WRITTEN.append(near)
     try:
-        with tempfile.TemporaryDirectory(dir=near, prefix=f".{name}.") as draft:
-            yield Path(draft)
+        with tempfile.TemporaryDirectory(dir=near, prefix=f".{name}.") as folder:
+            yield Path(folder)
     finally:
         BEING_WRITTEN.remove(near)

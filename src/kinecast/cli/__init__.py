@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def interrupt(*_: object) -> None:
         nonlocal interrupted
         interrupted = True
-        output = sys.modules.get("kinecast.evaluation.output")
+        output = sys.modules.get("kinecast.output")
         if arguments is None and "jaxlib" in sys.modules and not (output and output.BEING_WRITTEN):
             _leave()  # an exception in the midst of JAX's compiler aborts the process, and there is nothing to tidy up
         raise KeyboardInterrupt

@@ -15,7 +15,7 @@ from kinecast.cameras.rig import Rig
 from kinecast.cli.options import File, OptionalFile, check_file
 from kinecast.cli.progress import note
 from kinecast.errors import DatasetError, OptionError
-from kinecast.evaluation.output import write_atomically
+from kinecast.output import write_atomically
 
 if TYPE_CHECKING:
     from kinecast.cameras.calibration import CharucoBoard, Corners, Extrinsics

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +13,7 @@ from kinecast.cli.recordings import MORE_FORMATS, UNREAD, WRITERS, one_scene, re
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import differences
 from kinecast.errors import OptionError
+from kinecast.output import draft
 
 NO_BVH = "BVH holds the rotations of a skeleton whose bones keep their length, which positions do not tell"
 
@@ -40,8 +40,8 @@ def convert(
         raise OptionError(f"{target}: is there already; --force replaces it")
     here = source.resolve()
     recordings = one_scene(read_recordings((source,), format), source, "convert")
-    with tempfile.TemporaryDirectory(dir=target.absolute().parent, prefix=f".{target.name}.") as folder:
-        written = Path(folder) / target.name
+    with draft(target.absolute().parent, target.name) as folder:
+        written = folder / target.name
         with progress_bar("writing"):
             WRITERS[target.suffix](written, recordings)
         lost = differences(recordings, load_all([written], more=MORE_FORMATS))

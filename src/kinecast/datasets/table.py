@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ from kinecast.datasets.files import BYTE_ORDER_MARK, MOST_POINTS, base_name, hea
 from kinecast.datasets.recording import Description, Recording, describe
 from kinecast.datasets.resampling import measured_rate
 from kinecast.errors import DatasetError, MissingExtraError, OptionError
+from kinecast.output import draft
 
 _WORLD = "z up, right-handed, metres, seconds"
 _CSV_METADATA = b"# kinecast "
@@ -224,15 +224,14 @@ def _pyarrow() -> ModuleType:
 @contextmanager
 def _whole(path: Path) -> Iterator[BufferedWriter]:
     """A new file beside `path` that takes its place when all is written, and goes when it is not."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with partial.open("wb") as file:
-            yield file
-        partial.replace(path)
+        with draft(path.parent, path.name) as folder:
+            partial = folder / "part"
+            with partial.open("wb") as file:
+                yield file
+            partial.replace(path)
     except OSError as error:
         raise DatasetError(path, f"cannot be written: {error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_rows(path: Path) -> Rows:

@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
 from kinecast.evaluation.metrics import WRISTS
-from kinecast.evaluation.output import write_atomically
 from kinecast.evaluation.plots import BLUE, INK, MUTED, RED, STYLE, drawable, save_figure
 from kinecast.evaluation.scenery import OBSTACLE, Camera, draw_obstacles
 from kinecast.geometry.scene import Scene
+from kinecast.output import write_atomically
 
 try:
     import matplotlib as mpl

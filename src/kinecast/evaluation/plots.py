@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
-from kinecast.evaluation.output import write_atomically
+from kinecast.output import write_atomically
 
 try:
     import matplotlib as mpl

@@ -27,7 +27,6 @@ from rich.text import Text
 
 from kinecast.errors import MissingExtraError, OptionError
 from kinecast.evaluation.metrics import LEVELS, WRISTS
-from kinecast.evaluation.output import all_or_none, write_atomically
 from kinecast.evaluation.pictures import Moment, animate_predictions, draw_prediction
 from kinecast.evaluation.plots import (
     UNKNOWN,
@@ -43,6 +42,7 @@ from kinecast.evaluation.plots import (
 )
 from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
+from kinecast.output import all_or_none, write_atomically
 from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.tasks import Progress, Workers
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ import numpy as np
 from kinecast.body.limits import AngleLimit, JointLimits
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import ModelError
+from kinecast.output import draft
 
 FORMAT = "kinecast-model"
 VERSION = 1
@@ -151,8 +151,8 @@ def write_model_file(path: Path, card: ModelCard, arrays: Mapping[str, np.ndarra
     """Writes a model whole or not at all: under another name first, then moved into place; ModelError if it cannot."""
     stored = {CARD: np.frombuffer(card.to_json().encode(), np.uint8), **arrays}
     try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            partial = Path(folder) / "part"
+        with draft(path.parent, path.name) as folder:
+            partial = folder / "part"
             with partial.open("wb") as file:
                 np.savez_compressed(file, allow_pickle=False, **stored)
             partial.replace(path)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kinecast.datasets.summary import runs
-from kinecast.evaluation.output import write_atomically
+from kinecast.output import write_atomically
 from kinecast.robot.cell import Cell
 from kinecast.robot.episode import Episode
 from kinecast.robot.simulated_person import Person
