@@ -24,6 +24,8 @@ FORGET = 0.5
 """A person who was not on any shot for this long has left [s]."""
 HARDEST = 10.0
 """No joint gains speed faster [m/s²]: beyond that it is the tracking."""
+TOUCH = 0.06
+"""A limb that comes this near to a cube's middle may take it [m]."""
 MOMENT = 1e-3
 """Capsules' velocities are those of their joints over so long [s]."""
 ARM_PARTS = ("shoulder", "elbow", "wrist")
@@ -60,12 +62,11 @@ class PeopleModel:
     """Keeps the last measurements, the newest prediction and the last minute of every person.
 
     Args:
-        body: radii around the joints, and when a prediction is too old.
-        touch: a limb that comes this near to a cube's middle may take it [m].
+        body: radii around the joints.
     """
 
-    def __init__(self, body: OccupancyOptions | None = None, touch: float = 0.06) -> None:
-        self.body, self.touch = body or OccupancyOptions(), touch
+    def __init__(self, body: OccupancyOptions | None = None) -> None:
+        self.body = body or OccupancyOptions()
         self.newest = -np.inf
         """Stamp of the newest shot [s]."""
         self.predictions: tuple[Prediction, ...] = ()
@@ -122,10 +123,10 @@ class PeopleModel:
         chance = np.zeros(len(places))
         for track in self._tracks.values():
             for wrist in track.arms[[2, 5]]:
-                near = np.linalg.norm(places - wrist, axis=1) <= self.body.hand + self.body.hand_length + self.touch
+                near = np.linalg.norm(places - wrist, axis=1) <= self.body.hand + self.body.hand_length + TOUCH
                 chance = np.maximum(chance, near)
         for prediction in self.trusted(now):
-            chance = np.maximum(chance, reach_probabilities(prediction, places, self.touch, self.body))
+            chance = np.maximum(chance, reach_probabilities(prediction, places, TOUCH, self.body))
         return dict(zip(cubes, chance.tolist(), strict=True))
 
     def occupancy(self, now: float, at: float) -> Float[np.ndarray, "K 7"]:
