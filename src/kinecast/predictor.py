@@ -14,11 +14,14 @@ from jaxtyping import Bool, Float
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.method import Forecast, Method, forecast_in_scene, joint_covariances
+from kinecast.prediction.method import Forecast, Method, forecast_in_scene, joint_covariances, shortened
 from kinecast.prediction.observation import STANDING, Observation
 from kinecast.track import Track
 from kinecast.types import Density, Prediction, SkeletonFrame, Status
 
+LONGEST_DELAY = 0.3  # a frame older than this when it arrives is LATE [s]
+MOST_PERSONS = 64  # followed at once; the one not seen for longest is forgotten first
+FORGET_AFTER = 5.0  # a person not seen for this long is forgotten [s]
 UNFAMILIAR_SHARE = 0.1  # weight of the learned experts below which the status says that they have given way
 AT_REST = 0.1  # whose joints all move slower than this [m/s] is best predicted to stay, and that is nothing unfamiliar
 HAND_SPEED = 2.0
@@ -33,17 +36,11 @@ class PredictorOptions:
 
     samples: int = 1000  # S, motions drawn per prediction, 1..100000
     seed: int = 0  # of the random draws; the same frames give the same predictions
-    longest_delay: float = 0.3  # a frame older than this when it arrives is LATE [s]
-    most_persons: int = 64  # persons followed at once; the one not seen for longest is forgotten first
-    forget_after: float = 5.0  # a person not seen for this long is forgotten [s]
+    horizon: float | None = None  # how far to predict [s]; None for as far as the method does
 
     def __post_init__(self) -> None:
         if not 1 <= self.samples <= 100_000:
             raise OptionError(f"samples {self.samples} is outside 1..100000")
-        if not self.longest_delay > 0:
-            raise OptionError(f"longest_delay {self.longest_delay} s must be above 0")
-        if self.most_persons < 1:
-            raise OptionError(f"most_persons {self.most_persons} must be at least 1")
 
 
 class Predictor:
@@ -54,6 +51,9 @@ class Predictor:
         noise: spread of a measured joint in its training data [m].
         scene: obstacles the arms must not enter, and goals that hands may head for; or None.
         options: see PredictorOptions.
+
+    Raises:
+        OptionError: a horizon that the method does not reach.
     """
 
     def __init__(
@@ -63,10 +63,10 @@ class Predictor:
         scene: Scene | None = None,
         options: PredictorOptions | None = None,
     ) -> None:
-        self.method = method
+        self.options = options or PredictorOptions()
+        self.method = method if self.options.horizon is None else shortened(method, self.options.horizon)
         self.noise = noise
         self.scene = scene
-        self.options = options or PredictorOptions()
         self._tracks: dict[str, Track] = {}
         self._warm_up()
 
@@ -158,7 +158,7 @@ class Predictor:
         """The worst that is known: of the delay, the scene, the window, the frame, the method."""
         delay = now - observation.stamp
         passed = observation.times(self.method.steps)[-1] <= now + 1e-9
-        if passed or not -self.method.dt <= delay <= self.options.longest_delay:
+        if passed or not -self.method.dt <= delay <= LONGEST_DELAY:
             return Status.LATE
         if forecast.effective_sample_size == 0:
             return Status.BLOCKED
@@ -179,9 +179,9 @@ class Predictor:
         """This person's track; persons long unseen, and the longest unseen of too many, are forgotten."""
         if frame.person not in self._tracks:
             for person, track in list(self._tracks.items()):
-                if track.stamps and frame.stamp - track.stamps[-1] > self.options.forget_after:
+                if track.stamps and frame.stamp - track.stamps[-1] > FORGET_AFTER:
                     del self._tracks[person]
-            if len(self._tracks) >= self.options.most_persons:
+            if len(self._tracks) >= MOST_PERSONS:
                 newest = {person: max(track.stamps, default=-np.inf) for person, track in self._tracks.items()}
                 del self._tracks[min(newest, key=lambda person: newest[person])]
             # A generator each: who else is in view changes nothing.

@@ -25,7 +25,8 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ClusterError, DatasetError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
-from kinecast.prediction.kinecast.experts import FeatureScale, arm_views, fit_network
+from kinecast.prediction.kinecast.experts import FeatureScale, arm_views
+from kinecast.prediction.kinecast.objectives import fit_network
 from kinecast.prediction.methods import shipped_methods, train
 from kinecast.tasks import Cluster, Serial, Workers, cluster_at, scatter, worker_count
 

@@ -17,7 +17,7 @@ from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
 from kinecast.prediction.kinecast.model import Kinecast, ablations
-from kinecast.prediction.method import Method
+from kinecast.prediction.method import Method, shortened
 from kinecast.prediction.methods import check_names, limits_of, read_method, train
 from kinecast.prediction.plugins import is_plugin, train_plugin
 from kinecast.tasks import Workers
@@ -86,19 +86,22 @@ def windows_told(told: Mapping[str, float | None], default: WindowOptions | None
 
 
 def read_models(paths: Sequence[Path], told: Mapping[str, float | None]) -> MethodSet:
-    """Saved models, at least one, all for the windows told, or else for those of the first.
+    """Saved models, at least one, of one rate and window; what is told must be theirs.
 
-    A ModelError where a file is no model, or made for other windows; an OptionError for windows that there are not.
+    They predict as far as told, or as the least of them does. A ModelError where a file is no model, or made for other
+    windows; an OptionError for windows that there are not.
     """
     cards, methods = zip(*map(read_method, paths), strict=True)
     first = cards[0]
-    options = windows_told(told, WindowOptions(first.rate, first.frames / first.rate, first.steps / first.rate))
+    least = min(card.steps * card.dt for card in cards)
+    options = windows_told(told, WindowOptions(first.rate, first.frames / first.rate, least))
     wanted = (options.observed_steps, options.predicted_steps, options.rate)
     frames = "{} frames seen and {} predicted at {:g} Hz"
     for path, card in zip(paths, cards, strict=True):
         made = (card.frames, card.steps, card.rate)
-        if made != wanted:
+        if made[::2] != wanted[::2] or made[1] < wanted[1]:
             raise ModelError(f"{path}: made for {frames.format(*made)}, not {frames.format(*wanted)}")
+    methods = tuple(shortened(method, options.horizon) for method in methods)
     named = [card.method for card in cards]
     names = [f"{name} #{named[: k + 1].count(name)}" if named.count(name) > 1 else name for k, name in enumerate(named)]
     # The least that every constrained model keeps, else those found in training.

@@ -89,6 +89,7 @@ class _Gaussian(Memoryless):
     """A mean model of D = 18 coordinates and the covariance of its errors.
 
     Attributes:
+        frames, steps, dt: N, T, and time between frames [s]; T may be less than those below know of.
         mean_model: gives the expected coordinates.
         cholesky: (18 T, 18 T) lower factor of the errors' covariance, steps outermost.
         noise: spread of a measured joint about the true one [m], for the density of measurements.
@@ -126,6 +127,10 @@ class _Gaussian(Memoryless):
             raise ModelError("array cholesky is no lower triangle with a positive diagonal")
         return cls(card.frames, card.steps, card.dt, model, cholesky, card.noise)
 
+    def _first(self) -> Square:
+        """The factor of the steps that are predicted."""
+        return self.cholesky[: 18 * self.steps, : 18 * self.steps]
+
     def _constraint(self, observation: Observation, draws: Callable[[], np.ndarray]) -> ConstraintFactor | None:
         return None if self.limits is None else ConstraintFactor(draws, observation, self.limits, self.noise)
 
@@ -136,8 +141,9 @@ class PositionGaussian(_Gaussian):
 
     def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         """See kinecast.prediction.method.Method."""
-        mean = self.mean_model.mean(observation.points.reshape(1, self.frames, 18))[0].reshape(self.steps, 6, 3)
-        factor = with_noise(self.cholesky, np.repeat(observation.noise, 3)).reshape(self.steps, 6, 3, -1)
+        window = observation.points.reshape(1, self.frames, 18)
+        mean = self.mean_model.mean(window)[0, : self.steps].reshape(self.steps, 6, 3)
+        factor = with_noise(self._first(), np.repeat(observation.noise, 3)).reshape(self.steps, 6, 3, -1)
         draws = rng.standard_normal((factor.shape[-1], samples))
         constraint = self._constraint(observation, lambda: mean + np.tensordot(draws, factor, axes=(0, 3)))
         motions = sample_motions(observation, mean, factor, draws, self.limits)
@@ -154,8 +160,8 @@ class PostureGaussian(_Gaussian):
     def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
         """See kinecast.prediction.method.Method."""
         track = postures_from_points(observation.points, continuous=True)
-        mean = self.mean_model.mean(coordinates_from_postures(track)[None])[0]
-        cholesky = with_noise(self.cholesky, coordinate_noise(track[-1], observation.noise))
+        mean = self.mean_model.mean(coordinates_from_postures(track)[None])[0, : self.steps]
+        cholesky = with_noise(self._first(), coordinate_noise(track[-1], observation.noise))
         drawn = mean + (rng.standard_normal((samples, len(cholesky))) @ cholesky.T).reshape(samples, self.steps, 18)
         free, spread = postures_from_coordinates(drawn), np.linalg.norm(cholesky, axis=1).reshape(self.steps, 18)
         uniforms, within = rng.random((samples, self.steps, 8)), posture_bounds(self.limits)

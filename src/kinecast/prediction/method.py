@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar, no_type_check, runtime_checkable
+from dataclasses import dataclass, field, is_dataclass, replace
+from typing import Any, Protocol, TypeVar, no_type_check, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit
 
+from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.density import PoseDensity
 from kinecast.prediction.observation import Observation
 from kinecast.types import Density
 
-__all__ = ["Forecast", "Memoryless", "Method", "forecast_in_scene", "joint_covariances"]
+__all__ = ["Forecast", "Memoryless", "Method", "forecast_in_scene", "joint_covariances", "shortened"]
 
 State = TypeVar("State")
+M = TypeVar("M", bound="Method[Any]")
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,22 @@ class Method(Protocol[State]):
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Everything the method needs, as plain arrays."""
         ...
+
+
+def shortened(method: M, horizon: float) -> M:
+    """The same method, predicting only so far [s]: what it says of those steps does not change.
+
+    Raises:
+        OptionError: it predicts less far, or is not one of kinecast's own, which alone are known to bear that.
+    """
+    steps = round(horizon / method.dt) if math.isfinite(horizon) else 0
+    if steps == method.steps:
+        return method
+    if not 1 <= steps < method.steps:
+        raise OptionError(f"horizon {horizon:g} s is outside {method.dt:.3g}..{method.steps * method.dt:.3g} s")
+    if not (is_dataclass(method) and type(method).__module__.startswith(__package__)):
+        raise OptionError(f"horizon {horizon:g} s: this method predicts {method.steps * method.dt:.3g} s, no less")
+    return replace(method, steps=steps)
 
 
 class Memoryless:

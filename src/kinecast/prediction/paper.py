@@ -67,7 +67,8 @@ class PositionSeries(Memoryless):
     def fitting(workers: Workers, windows: TrainingWindows, seed: int) -> Any:
         """Stands for the method: a process per world coordinate, taken as it is, as the paper has it."""
         rows = _chosen(len(windows), seed)
-        inputs, outputs = windows.observed[rows].reshape(len(rows), -1, 18), windows.future[rows, 0].reshape(-1, 18)
+        inputs = windows.observed[rows].reshape(len(rows), -1, 18).astype(float)
+        outputs = windows.future[rows, 0].reshape(-1, 18).astype(float)
         return workers.submit(PositionSeries, *windows.shape, _fitting(workers, inputs, outputs, seed))
 
     def forecast(self, state: None, observation: Observation, rng: np.random.Generator, samples: int) -> Forecast:
@@ -129,7 +130,7 @@ class PostureSeries(Memoryless):
         track = postures_from_points(observation.points, continuous=True)
         offsets = rng.standard_normal((samples, 18)) * coordinate_noise(track[-1], observation.noise)
         rollout = roll_series(
-            coordinates_from_postures(track), offsets, self.processes, self.length_spread, track[-1],
+            coordinates_from_postures(track), offsets, self.processes, self.length_spread[: self.steps], track[-1],
             rng.standard_normal((samples, self.steps, 18)), rng.random((samples, self.steps, 8)),
             posture_bounds(self.limits), self.dt,
         )  # fmt: skip

@@ -11,14 +11,13 @@ from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
 from kinecast.prediction.density import GaussianMixture, PoseDensity
-from kinecast.prediction.kinecast import error_model, fit, weights
+from kinecast.prediction.kinecast import fit, objectives
 from kinecast.prediction.kinecast.error_model import (
     CEILING,
     LEVEL,
     SCALES,
     AdaptiveScale,
     ErrorModel,
-    fit_error_model,
     mixture_radius,
 )
 from kinecast.prediction.kinecast.experts import (
@@ -27,7 +26,6 @@ from kinecast.prediction.kinecast.experts import (
     FeatureScale,
     Networks,
     arm_views,
-    fit_network,
     forecasts,
     time_basis,
     trivial_experts,
@@ -35,6 +33,7 @@ from kinecast.prediction.kinecast.experts import (
 )
 from kinecast.prediction.kinecast.fit import fitting_kinecast
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, ablations, kinecast_from_arrays
+from kinecast.prediction.kinecast.objectives import fit_error_model, fit_gate, fit_network
 from kinecast.prediction.kinecast.weights import (
     HALF_LIVES,
     JOINT_TYPE,
@@ -44,9 +43,8 @@ from kinecast.prediction.kinecast.weights import (
     GateInputs,
     RollingForecastErrors,
     fallback_weights,
-    fit_gate,
 )
-from kinecast.prediction.method import forecast_in_scene
+from kinecast.prediction.method import forecast_in_scene, shortened
 from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.tasks import Progress, Serial
@@ -64,7 +62,8 @@ def fit_kinecast(windows: TrainingWindows, progress: Progress | None = None) -> 
     workers = Serial()
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in (
-            (fit, "NETWORK_STEPS", 20), (fit, "FOLDS", 2), (error_model, "FIT_STEPS", 100), (weights, "FIT_STEPS", 100),
+            (fit, "NETWORK_STEPS", 20), (fit, "FOLDS", 2), (objectives, "ERROR_STEPS", 100),
+            (objectives, "GATE_STEPS", 100),
         ):  # fmt: skip
             patch.setattr(module, name, value)
         fitted = fitting_kinecast(workers, windows, windows, JointLimits(), NOISE, seed=0)
@@ -132,6 +131,15 @@ class TestForecast:
         one = forecasts(method.experts, observation.positions[None], method.steps)[0]
         other = forecasts(method.experts, swapped[None], method.steps)[0]
         np.testing.assert_allclose(other, one[:, :, SWAP] * MIRROR, atol=1e-9)
+
+    def test_a_shorter_horizon_says_the_same_of_what_is_left(self, method: Kinecast, observation: Observation) -> None:
+        near, far = shortened(method, 2 * method.dt), method
+        window, rng = observation.positions, np.random.default_rng
+        states = [each.update(each.init_state(), observation, window[-1]) for each in (near, far)]
+        short, whole = (m.forecast(s, observation, rng(0), 50) for m, s in zip((near, far), states, strict=True))
+        np.testing.assert_array_equal(short.mean, whole.mean[:2])
+        assert short.samples.shape == (50, 2, 6, 3)
+        np.testing.assert_allclose(short.density.log_prob(short.mean), whole.density.log_prob(whole.mean)[:2], atol=0.5)
 
     def test_noise_given_by_the_camera_widens_it(self, method: Kinecast, observation: Observation) -> None:
         noisy = replace(observation, noise=np.full(6, 0.05))
@@ -313,12 +321,12 @@ class TestGate:
         np.testing.assert_array_equal(np.delete(better, 2, axis=2), np.delete(weights, 2, axis=2))
 
     def test_it_learns_whom_to_trust(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(weights, "FIT_STEPS", 300)
+        monkeypatch.setattr(objectives, "GATE_STEPS", 300)
         rng = np.random.default_rng(1)
         futures = 0.1 * rng.standard_normal((300, 3, 6, 3))
         made = futures[:, None] + 0.3 * rng.standard_normal((300, 4, 3, 6, 3))
         made[:, 2] = futures + 0.001
-        gate = fit_gate(np.zeros((300, 4, 6, 4)), np.zeros((300, 6, 5)), made, futures, seed=0)
+        gate = fit_gate(np.zeros((300, 4, 6, 4)), np.zeros((300, 6, 5)), made, futures, 3, slice(None), seed=0)
         found = gate.weights(GateInputs(np.zeros((4, 6, 4)), np.zeros((6, 5))), 3)
         assert (found[2] > 0.8).all()
 
@@ -364,7 +372,7 @@ class TestErrorModel:
     def test_every_number_keeps_unit_spread_and_whole_motions_hang_together(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(error_model, "FIT_STEPS", 20)  # of the scale, which is not looked at
+        monkeypatch.setattr(objectives, "ERROR_STEPS", 20)  # of the scale, which is not looked at
         rng = np.random.default_rng(3)
         errors = 0.02 * (rng.standard_normal((800, 1, 6, 3)) + 0.1 * rng.standard_normal((800, 5, 6, 3)))
         model = fit_error_model(errors, np.ones((800, 6, 1)))
@@ -394,9 +402,9 @@ class TestParts:
         np.testing.assert_allclose(weights.sum(axis=-1), 1.0)
 
     def test_the_time_basis_is_orthonormal_and_smooth(self) -> None:
-        basis = time_basis(15)
+        basis = time_basis(15, 6)
         np.testing.assert_allclose(basis.T @ basis, np.eye(6), atol=1e-10)
-        assert time_basis(3).shape == (3, 3)
+        assert time_basis(3, 3).shape == (3, 3)
 
     def test_views_of_arms_come_back(self, windows: TrainingWindows) -> None:
         views = arm_views(windows.observed[:5])
@@ -435,7 +443,7 @@ class TestParts:
 
     def test_after_a_pause_of_the_horizon_the_spread_is_judged_by_nothing(self, method: Kinecast) -> None:
         steps = method.steps
-        scale = AdaptiveScale(method.error_model, steps, method.dt)
+        scale = AdaptiveScale(method.error_model, method.dt)
         scale.predicted(np.zeros((steps, 6, 3)), np.ones((steps, 6)), np.eye(3), UNIT, REST)
         scale.skip(steps)
         scale.observe(np.full((6, 3), 10.0))
@@ -456,7 +464,7 @@ class TestParts:
     def test_the_spread_grows_after_misses_and_shrinks_after_none(self, method: Kinecast) -> None:
         steps = method.steps
         for far, grows in ((10.0, True), (0.0, False)):
-            scale = AdaptiveScale(method.error_model, steps, method.dt)
+            scale = AdaptiveScale(method.error_model, method.dt)
             for _ in range(60):
                 scale.observe(np.full((6, 3), far))
                 scale.predicted(np.zeros((steps, 6, 3)), np.ones((steps, 6)), np.eye(3), UNIT, REST)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import kinecast.predictor
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
@@ -136,8 +137,11 @@ def test_fifty_persons_at_once_are_all_followed(still: Predictor) -> None:
     assert statuses == {Status.OK}
 
 
-def test_too_many_persons_are_followed_in_bounded_memory(trained: dict[str, Method[Any]]) -> None:
-    few = Predictor(trained["zero_velocity"], options=replace(OPTIONS, samples=5, most_persons=3))
+def test_too_many_persons_are_followed_in_bounded_memory(
+    trained: dict[str, Method[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kinecast.predictor, "MOST_PERSONS", 3)
+    few = Predictor(trained["zero_velocity"], options=replace(OPTIONS, samples=5))
     for p in range(20):
         assert few.observe(frame(0.01 * p, REST, f"p{p}")).status is Status.WARMING_UP
         assert len(few._tracks) <= 3
@@ -150,8 +154,11 @@ def test_persons_long_gone_are_forgotten(still: Predictor) -> None:
     assert set(still._tracks) == {"here"}
 
 
-def test_useless_frames_of_many_persons_do_not_block_new_ones(trained: dict[str, Method[Any]]) -> None:
-    few = Predictor(trained["zero_velocity"], options=replace(OPTIONS, samples=5, most_persons=3))
+def test_useless_frames_of_many_persons_do_not_block_new_ones(
+    trained: dict[str, Method[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kinecast.predictor, "MOST_PERSONS", 3)
+    few = Predictor(trained["zero_velocity"], options=replace(OPTIONS, samples=5))
     for p in range(5):
         bad = frame(0.0, REST, f"bad-{p}")
         object.__setattr__(bad, "positions", REST[:, :2])
@@ -403,10 +410,24 @@ def test_a_method_that_fails_is_a_fault(trained: dict[str, Method[Any]], nan: bo
     assert fill(predictor, start=1.0).status in (Status.OK, Status.REPEATED)
 
 
-@pytest.mark.parametrize(
-    "options", [{"samples": 0}, {"samples": 10**6}, {"longest_delay": 0.0}, {"longest_delay": math.nan},
-                {"most_persons": 0}]
-)  # fmt: skip
-def test_options_out_of_range(options: dict[str, float]) -> None:
-    with pytest.raises(OptionError, match=next(iter(options))):
-        PredictorOptions(**options)
+@pytest.mark.parametrize("samples", [0, 10**6])
+def test_samples_out_of_range(samples: int) -> None:
+    with pytest.raises(OptionError, match="samples"):
+        PredictorOptions(samples=samples)
+
+
+@pytest.mark.parametrize("name", ["zero_velocity", "gp_xyz", "gp_constrained", "ridge_angles"])
+def test_a_shorter_horizon_changes_nothing_of_what_is_left(trained: dict[str, Method[Any]], name: str) -> None:
+    method = trained[name]
+    whole, short = Predictor(method, options=OPTIONS), Predictor(method, options=replace(OPTIONS, horizon=2 * DT))
+    far, near = fill(whole), fill(short)
+    assert near.samples.shape == (60, 2, 6, 3)
+    np.testing.assert_allclose(near.mean, far.mean[:2], atol=0.02)
+    assert_whole(near)
+    np.testing.assert_allclose(near.log_prob(near.mean), far.log_prob(far.mean)[:2], atol=2.0)
+
+
+@pytest.mark.parametrize("horizon", [0.0, -1.0, 9.9, math.nan])
+def test_a_horizon_out_of_range(trained: dict[str, Method[Any]], horizon: float) -> None:
+    with pytest.raises(OptionError, match=r"horizon .* is outside 0.0333..0.1 s"):
+        Predictor(trained["zero_velocity"], options=replace(OPTIONS, horizon=horizon))

@@ -12,36 +12,27 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.geometry.transforms import lengths
-from kinecast.prediction.descent import descend
 from kinecast.prediction.linear import damped, slope_weights
 from kinecast.prediction.model_file import Arrays
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 LEAST_STEP = 0.004
 """Added to the amplitude of a window [m per frame]: below it lies the sensor's noise."""
-BASIS = 6
-"""Functions of time that a displacement is made of."""
 DAMPED = ((0, 1.0), (2, 16.0), (2, np.inf), (1, 4.0), (3, 12.0), (2, 6.0))
 """Trivial experts: degree of the polynomial whose slope is the velocity (0: none), and time constant [frames]."""
 TRIVIAL = len(DAMPED)
 
-LEAST_MOTION = 0.02
-"""Added to a window's motion [m] where its error is weighed by it."""
-WIDTH, DROPPED = 160, 0.4
-"""Units of the network's layers, and the share of them left out at random while training."""
-
 
 @cache
-def time_basis(steps: int) -> Float[np.ndarray, "T K"]:
+def time_basis(steps: int, functions: int) -> Float[np.ndarray, "T K"]:
     """(T, K) orthonormal polynomials of time that are zero now."""
     t = np.arange(1.0, steps + 1) / steps
-    basis = np.linalg.qr(np.stack([t ** (k + 1) for k in range(min(BASIS, steps))], axis=1))[0]
+    basis = np.linalg.qr(np.stack([t ** (k + 1) for k in range(functions)], axis=1))[0]
     return basis * np.sign(basis[-1])
 
 
@@ -187,7 +178,8 @@ def forecasts(experts: Networks, windows: Float[np.ndarray, "W N 6 3"], steps: i
         return trivial
     views = arm_views(windows)
     coefficients = experts.coefficients(experts.scale.features(views))
-    displacement = time_basis(steps) @ coefficients.reshape(*coefficients.shape[:2], -1, 9)
+    coefficients = coefficients.reshape(*coefficients.shape[:2], -1, 9)
+    displacement = time_basis(steps, coefficients.shape[2]) @ coefficients
     displacement *= views.amplitude[:, None, None]
     learned = views.to_world(displacement.reshape(*displacement.shape[:3], 3, 3))
     return np.concatenate([trivial, learned.transpose(1, 0, 2, 3, 4)], axis=1)
@@ -239,58 +231,3 @@ class Networks(Arrays):
 
 def _silu(x: Float[np.ndarray, "G V U"]) -> Float[np.ndarray, "G V U"]:
     return x / (1.0 + np.exp(-np.clip(x, -60.0, 60.0)))
-
-
-def fit_network(
-    scale: FeatureScale,
-    observed: Float[np.ndarray, "W N 6 3"],
-    future: Float[np.ndarray, "W T 6 3"],
-    steps: int,
-    seed: int,
-) -> Networks:
-    """One multilayer perceptron beside a linear skip that starts from ridge.
-
-    The loss is the mean distance of a window over the root of its motion: fast collections do not drown slow ones.
-    """
-    views, basis = arm_views(observed), time_basis(future.shape[1])
-    features, amplitude = scale.features(views), views.amplitude
-    target = views.to_arms(future).reshape(len(features), -1, 9)
-    scaled = (np.linalg.pinv(basis) @ (target / amplitude[:, None, None])).reshape(len(features), -1)
-    inputs, outputs = features.shape[1], scaled.shape[1]
-    seen, weight, rng = features[:, :-2], amplitude[:, None], np.random.default_rng(seed)
-    moment = seen.T @ (seen * weight) + 1e-3 * len(seen) * weight.mean() * np.eye(inputs - 2)
-    skip = np.linalg.solve(moment, seen.T @ (scaled * weight))
-
-    def layer(before: int, after: int, gain: float) -> Float[np.ndarray, "A B"]:
-        return rng.normal(0.0, gain / np.sqrt(before), (before, after))
-
-    start = [
-        layer(inputs, WIDTH, 1.0), np.zeros((1, WIDTH)), layer(WIDTH, WIDTH, 1.0), np.zeros((1, WIDTH)),
-        layer(WIDTH, outputs, 0.1), np.zeros((1, outputs)), skip,
-    ]  # fmt: skip
-    fitted = descend(
-        _network_loss(basis), start, (features, amplitude, target),
-        steps=steps, batch=256, rate=2e-3, decay=1e-3, second=0.999, seed=seed,
-    )  # fmt: skip
-    return Networks(scale, *(array[None] for array in fitted))
-
-
-def _network_loss(basis: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]
-    def loss(jax, parameters, rows, key):  # type: ignore[no-untyped-def]
-        W1, b1, W2, b2, W3, b3, A = parameters
-        x, amplitude, target = rows
-        first, other = jax.random.split(key)
-
-        def dropped(h: Any, key: Any) -> Any:
-            return h * jax.random.bernoulli(key, 1.0 - DROPPED, h.shape) / (1.0 - DROPPED)
-
-        def size(e: Any) -> Any:
-            return jax.numpy.sqrt((e.reshape(len(x), -1, 3) ** 2).sum(-1) + 1e-6).mean(1)
-
-        h = dropped(jax.nn.silu(x @ W1 + b1), first)
-        h = h + dropped(jax.nn.silu(h @ W2 + b2), other)
-        coefficients = (h @ W3 + b3 + x[:, : A.shape[0]] @ A).reshape(len(x), -1, 9)
-        error = jax.numpy.einsum("tk,bkc->btc", basis, coefficients) * amplitude[:, None, None] - target
-        return 3.0 * (size(error) / jax.numpy.sqrt(size(target) + LEAST_MOTION)).mean()
-
-    return loss

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits
-from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel, fit_error_model
-from kinecast.prediction.kinecast.experts import FeatureScale, Networks, arm_views, fit_network, forecasts, yaw_frame
+from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel
+from kinecast.prediction.kinecast.experts import FeatureScale, Networks, arm_views, forecasts, yaw_frame
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
-from kinecast.prediction.kinecast.weights import Gate, fit_gate, rolling_errors
+from kinecast.prediction.kinecast.objectives import fit_error_model, fit_gate, fit_network
+from kinecast.prediction.kinecast.weights import Gate, rolling_errors
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.tasks import Workers, generator
 
@@ -27,6 +28,8 @@ NETWORK_STEPS, FOLDS = 4000, 4
 not seen it."""
 POOL = 80_000
 """Most windows that a network is trained on, drawn by their shares."""
+JUDGED = slice(2, None, 3)
+"""Steps at which the gate is fitted: what it learns varies smoothly with the step."""
 FOLLOWED = 48_000
 """About as many windows, recordings whole, are followed frame by frame for the gate and the error model."""
 SIZES = 0.15
@@ -77,7 +80,7 @@ def fitting_kinecast(
         for recording in np.unique(windows.recording[outside & followed]).tolist():
             held.append((networks, np.flatnonzero(outside & (windows.recording == recording)), (place, recording)))
     examples = [workers.submit(_gate_examples, *each, data, seed) for each in held]
-    gate = workers.submit(_gate, examples, seed)
+    gate = workers.submit(_gate, examples, windows.future.shape[1], seed)
     errors = [workers.submit(_error_examples, networks, rows, data, gate) for networks, rows, _ in held]
     spread = workers.submit(_error_model, errors, seed)
     networks = workers.submit(Networks.joined, general(np.arange(len(windows))) + list(own.values()))
@@ -97,7 +100,7 @@ def _drawn(data: TrainingWindows, rows: Rows, count: int, seed: int) -> Rows:
 def _network(data: TrainingWindows, rows: Rows, scale: FeatureScale, seed: int, noisy: bool) -> Networks:
     rng = np.random.default_rng([seed, noisy])
     some = _drawn(data, rows, POOL, seed)
-    size = np.exp(rng.uniform(-SIZES, SIZES, (len(some), 1, 1, 1)))
+    size = np.exp(rng.uniform(-SIZES, SIZES, (len(some), 1, 1, 1))).astype(np.float32)
     observed, future = size * data.observed[some], size * data.future[some]
     if noisy:
         observed = observed + _white_noise(rng, NOISE, len(some), observed.shape[1])
@@ -132,17 +135,17 @@ def _gate_examples(
     for each in (part, _noisy_recording(part, generator(seed, 2, *place))):
         for row, output, window in _followed(networks, None, each):
             if row % 8 == 0:
-                made = (output.forecasts - window[-1]).astype(np.float32)
-                came = (each.future[row] - window[-1]).astype(np.float32)
+                made = (output.forecasts[:, JUDGED] - window[-1]).astype(np.float32)
+                came = (each.future[row, JUDGED] - window[-1]).astype(np.float32)
                 inputs = output.inputs.errors.astype(np.float32), output.inputs.window.astype(np.float32)
                 examples.append((*inputs, made, came, each.collection[row]))
     return tuple(map(np.stack, zip(*examples, strict=True)))
 
 
-def _gate(examples: Sequence[Examples], seed: int) -> Gate:
+def _gate(examples: Sequence[Examples], steps: int, seed: int) -> Gate:
     errors, looks, forecasts, futures, collection = map(np.concatenate, zip(*examples, strict=True))
     rows = _evenly(collection, seed)
-    return fit_gate(errors[rows], looks[rows], forecasts[rows], futures[rows], seed)
+    return fit_gate(errors[rows], looks[rows], forecasts[rows], futures[rows], steps, JUDGED, seed)
 
 
 def _evenly(collection: Int[np.ndarray, " B"], seed: int) -> Rows:
@@ -168,7 +171,9 @@ def _error_examples(networks: Networks, rows: Rows, data: TrainingWindows, gate:
     part, examples = data.take(rows), []
     for row, output, window in _followed(networks, gate, part):
         own = (part.future[row] - output.mean) @ yaw_frame(window[-1])
-        examples.append((np.einsum("tjd,jde->tje", own, SIDES), output.features, part.collection[row]))
+        examples.append(
+            (np.einsum("tjd,jde->tje", own, SIDES).astype(np.float32), output.features, part.collection[row])
+        )
     return tuple(map(np.stack, zip(*examples, strict=True)))
 
 

@@ -133,7 +133,7 @@ class Kinecast:
         experts: the learned ones: two that know all collections, then one for each, where there are several.
         gate: mixes them; None for all alike.
         error_model: around their mixture.
-        frames, steps, dt: N, T, and time between frames [s].
+        frames, steps, dt: N, T, and time between frames [s]; T may be less than the error model's.
         noise: spread of a measured joint about the true one in training [m].
         limits: range and speed of the arm's angles; None for none.
         falls_back: whether the trivial experts may take over.
@@ -155,8 +155,8 @@ class Kinecast:
 
     def init_state(self) -> State:
         """See kinecast.prediction.method.Method."""
-        adaptive = AdaptiveScale(self.error_model, self.steps, self.dt) if self.adaptive else None
-        return State(rolling_errors(len(self.experts), self.steps), adaptive)
+        adaptive = AdaptiveScale(self.error_model, self.dt) if self.adaptive else None
+        return State(rolling_errors(len(self.experts), self.error_model.steps), adaptive)
 
     def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
         """See kinecast.prediction.method.Method."""
@@ -170,7 +170,7 @@ class Kinecast:
         if state.adaptive is not None:
             state.adaptive.observe(measured)
         window = observation.positions
-        made = forecasts(self.experts, window[None], self.steps)[0]
+        made = forecasts(self.experts, window[None], self.error_model.steps)[0]
         output = mix(self.gate, state.errors, window, measured, made, self.falls_back)
         scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:
@@ -186,12 +186,13 @@ class Kinecast:
         if state.output is None or state.scale is None or state.weights is None:
             state = self.update(state, observation, observation.positions[-1])
             return self.forecast(state, observation, rng, samples)
-        scale, output, model = state.scale, state.output, self.error_model
+        scale, output, model, steps = state.scale, state.output, self.error_model, self.steps
         if state.adaptive is not None:
             scale = scale * state.adaptive.factor(output.motion.speed)
         rotation = observation.frame[0].T @ yaw_frame(observation.positions[-1])
-        factor = with_noise(model.factor_in(scale, rotation), observation.noise)
-        mean, world_mean = observation.to_torso(output.mean), output.mean
+        factor = with_noise(model.factor_in(scale[:steps], rotation), observation.noise)
+        world_mean = output.mean[:steps]
+        mean = observation.to_torso(world_mean)
         draws = rng.standard_normal((factor.shape[-1], samples))
         common, goals = common_factors(state.weights, samples, rng), None
         if observation.goals is None:
@@ -207,9 +208,9 @@ class Kinecast:
             return mean + np.tensordot(draws, factor, axes=(0, 3))
 
         constraint = None if self.limits is None else ConstraintFactor(drawn, observation, self.limits, self.noise)
-        blocks = _blocks(mean, factor, model.rough, state.weights, goals)
+        blocks = _blocks(mean, factor, model.rough[:steps], state.weights, goals)
         return Forecast(
-            sample_motions(observation, mean, factor, draws, self.limits, model.farthest),
+            sample_motions(observation, mean, factor, draws, self.limits, model.farthest[:steps]),
             world_mean,
             PoseDensity(observation, mean, blocks, constraint),
             self.limits is not None,
@@ -284,6 +285,6 @@ def kinecast_from_arrays(arrays: Mapping[str, np.ndarray], card: ModelCard) -> K
     """The method that `Kinecast.to_arrays` described; ValueError where arrays are missing or do not fit."""
     experts = Networks.from_arrays(arrays, "experts.", scale=FeatureScale.from_arrays(arrays, "experts.scale."))
     gate, error_model = Gate.from_arrays(arrays, "gate."), ErrorModel.from_arrays(arrays, "spread.")
-    if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.factor.shape[0] != card.steps:
-        raise ValueError(f"{len(experts)} experts, {error_model.factor.shape[0]} steps")
+    if gate.bias.shape[0] != TRIVIAL + len(experts) or error_model.steps != card.steps:
+        raise ValueError(f"{len(experts)} experts, {error_model.steps} steps")
     return Kinecast(experts, gate, error_model, card.frames, card.steps, card.dt, card.noise, card.limits)

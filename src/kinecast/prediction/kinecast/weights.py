@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.geometry.transforms import lengths
-from kinecast.prediction.descent import descend
 from kinecast.prediction.kinecast.experts import TRIVIAL, WindowMotion
 from kinecast.prediction.model_file import Arrays
 
@@ -33,9 +32,6 @@ USUAL_ERROR = 0.03
 """Of every forecaster before anything is known [m]."""
 PRIOR_FRAMES, PRIOR_OTHERS = 8.0, 1.15
 """Before anything is known, and for as many frames' worth, the trivial experts are taken for 15 % worse."""
-
-FIT_STEPS, FIT_BATCH, FIT_RATE, FIT_DECAY, FIT_DROPPED = 1500, 192, 0.02, 1e-2, 0.2
-"""Of the gate's descent; the last is the share of learned experts left out at random: none is to be relied on alone."""
 
 JOINT_TYPE = np.array([0, 1, 2, 0, 1, 2])
 """Shoulder, elbow, wrist: left and right share what is learned."""
@@ -167,50 +163,3 @@ def fallback_weights(due: Float[np.ndarray, "E2 6 L H"], frames: int) -> Float[n
     logits = -FALLBACK_POWER * np.log(errors + 3e-4)
     weights = np.exp(logits - logits.max(axis=0))
     return weights / weights.sum(axis=0)
-
-
-def fit_gate(
-    errors: Float[np.ndarray, "B E 6 Q"],
-    windows: Float[np.ndarray, "B 6 5"],
-    forecasts: Float[np.ndarray, "B E T 6 3"],
-    futures: Float[np.ndarray, "B T 6 3"],
-    seed: int,
-) -> Gate:
-    """The gate with the least mean distance of the mixture, windows weighted by one over the root of their motion.
-
-    `errors` and `windows` are its inputs; what experts forecast and what came are relative to the last pose [m].
-    """
-    experts, steps, sources = forecasts.shape[1], forecasts.shape[2], errors.shape[-1]
-    basis = step_basis(steps)
-
-    def loss(jax, parameters, rows, key):  # type: ignore[no-untyped-def]
-        jnp = jax.numpy
-        bias, share, slope = parameters
-        error, look, made, came = rows
-        logits = (bias @ basis.T)[:, JOINT_TYPE][None]
-        logits = logits - (error @ share) @ basis.T
-        logits = logits + jnp.einsum("bjg,egk->bejk", look, slope) @ basis.T
-        kept = jax.random.bernoulli(key, 1.0 - FIT_DROPPED, error.shape[:2]) | (jnp.arange(experts) < TRIVIAL)
-        logits = jnp.where(kept[:, :, None, None], logits, -1e9)
-        weights = jax.nn.softmax(logits, axis=1).transpose(0, 1, 3, 2)
-        mixed = (weights[..., None] * made).sum(axis=1)
-        distance = jnp.sqrt(((mixed - came) ** 2).sum(-1) + 1e-7)
-        motion = jnp.sqrt((came**2).sum(-1)).mean((1, 2)) + 0.02
-        penalty = FIT_DECAY * ((bias**2).sum() + (slope**2).sum())
-        return 3.0 * (distance.mean((1, 2)) / jnp.sqrt(motion)).mean() + penalty
-
-    share = np.zeros((sources, 3))
-    share[:, 0] = 5.0 / sources
-    start = [np.zeros((experts, 3, 3)), share, np.zeros((experts, 5, 3))]
-    bias, share, slope = descend(
-        loss,
-        start,
-        (errors, windows, forecasts, futures),
-        steps=FIT_STEPS,
-        batch=FIT_BATCH,
-        rate=FIT_RATE,
-        decay=0.0,
-        second=0.99,
-        seed=seed,
-    )
-    return Gate(bias, share, slope)
