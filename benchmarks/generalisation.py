@@ -54,6 +54,8 @@ GAINS = ("mpjpe_mm", "moving_mpjpe_mm", "crps_mm")
 KEPT = ("mpjpe_mm", "mpjpe_mm_stderr", "moving_mpjpe_mm", "wrist_final_mm", "mpjpe_mm_by_step", "crps_mm", "nll",
         "energy_score_mm", "nll_stderr", "coverage", "moving", "violations")  # fmt: skip
 OPTIONS = WindowOptions(rate=30.0, window=0.2, horizon=0.5)
+TRAINED = 1.0
+"""Horizon that methods are trained for [s]; half of it is scored."""
 RECORDINGS = 240
 """Most recordings of a set that are scored, unless it has more pairs of subject and task."""
 FITTED = 40_000
@@ -109,7 +111,7 @@ def fit(names: Sequence[str], recordings: Sequence[Recording]) -> Trained:
     The one place that trains. Methods may predict further than is scored: `Watched` cuts them.
     """
     started = time.perf_counter()
-    data = training_windows(recordings, WindowOptions())
+    data = training_windows(recordings, replace(OPTIONS, horizon=TRAINED))
     some = data.take(np.arange(0, len(data), -(-len(data) // FITTED)))
     methods = train([name for name in names if name not in ("damped_085", "kinecast")], some)
     if "damped_085" in names:

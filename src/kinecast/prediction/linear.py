@@ -112,12 +112,13 @@ def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilt
     """x + v·τ(1 − exp(−t/τ)): velocity estimator and time constant τ both fitted on training data.
 
     Estimators tried: the last interval, the last two, the slope of a line and of a parabola over the window. The pair
-    with the least mean point error is taken, so the baseline is as strong as it can be.
+    with the least mean point error over the first half second is taken: there the baseline is as strong as it can be.
     """
     frames, steps = windows.shape[1], futures.shape[1]
+    near = max(round(0.5 / dt), 1)
     estimators = [_difference(frames, 1), _difference(frames, 2), slope_weights(frames, 1), slope_weights(frames, 2)]
     filters = [damped(velocity, tau, steps) for velocity in estimators for tau in TIME_CONSTANTS / dt]
-    return min(filters, key=lambda model: _mean_point_error(model.mean(windows), futures))
+    return min(filters, key=lambda model: _mean_point_error(model.mean(windows)[:, :near], futures[:, :near]))
 
 
 def kalman(windows: Windows, futures: Futures) -> WindowFilter:

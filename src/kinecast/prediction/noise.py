@@ -7,6 +7,8 @@ from jaxtyping import Float
 
 from kinecast.prediction.observation import TrainingWindows
 
+BLOCK = 10_000
+"""Windows looked at together: all of them would take as much room again as they do."""
 LEAST_SINE = 0.02
 """Near a degenerate pose an angle's noise stops growing here."""
 
@@ -17,10 +19,12 @@ def sensor_noise(windows: TrainingWindows) -> float:
     The third difference of a smooth motion at 30 Hz is small; white noise of spread σ gives one of spread
     σ √20. The median over windows of a robust (median absolute deviation) spread is taken.
     """
-    tracks = np.concatenate([windows.observed, windows.future], axis=1)
-    third = np.abs(np.diff(tracks, n=3, axis=1)).reshape(len(tracks), -1)
+    spreads = []
+    for first in range(0, len(windows), BLOCK):
+        tracks = np.concatenate([part[first : first + BLOCK] for part in (windows.observed, windows.future)], axis=1)
+        spreads.append(np.median(np.abs(np.diff(tracks, n=3, axis=1)), axis=(1, 2, 3)))
     # 1.4826: from median absolute deviation to standard deviation of a normal.
-    return float(max(1.4826 * np.median(np.median(third, axis=1)) / np.sqrt(20.0), 1e-4))
+    return float(max(1.4826 * np.median(np.concatenate(spreads)) / np.sqrt(20.0), 1e-4))
 
 
 def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, "*#b 3"]) -> Float[np.ndarray, "*b 4"]:

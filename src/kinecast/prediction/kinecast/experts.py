@@ -76,8 +76,9 @@ class ArmViews:
 
     def to_arms(self, positions: Float[np.ndarray, "W T 6 3"]) -> Float[np.ndarray, "V T 3 3"]:
         """World positions as displacements of each arm's joints from the last pose; the inverse of `to_world`."""
-        local = (positions - self.last[:, None]) @ self.rotation[:, None]
-        return np.concatenate([local[:, :, :3], local[:, :, 3:] * MIRROR])
+        local = (positions - self.last[:, None]) @ self.rotation[:, None].astype(positions.dtype)
+        local[:, :, 3:] *= MIRROR.astype(positions.dtype)
+        return np.concatenate([local[:, :, :3], local[:, :, 3:]])
 
 
 def arm_views(windows: Float[np.ndarray, "W N 6 3"]) -> ArmViews:

@@ -60,7 +60,8 @@ def fit_network(
     views, basis = arm_views(observed), time_basis(future.shape[1], min(BASIS, future.shape[1]))
     features, amplitude = scale.features(views), views.amplitude
     target = views.to_arms(future).reshape(len(features), -1, 9)
-    scaled = (np.linalg.pinv(basis) @ (target / amplitude[:, None, None])).reshape(len(features), -1)
+    scaled = np.linalg.pinv(basis).astype(target.dtype) @ target
+    scaled = scaled.reshape(len(features), -1) / amplitude[:, None]
     inputs, outputs = features.shape[1], scaled.shape[1]
     seen, weight, rng = features[:, :-2], amplitude[:, None], np.random.default_rng(seed)
     moment = seen.T @ (seen * weight) + 1e-3 * len(seen) * weight.mean() * np.eye(inputs - 2)
