@@ -241,7 +241,7 @@ def run(name: str, seed: int = 0, models: Sequence[Path] | None = None) -> dict[
         if asked.train:
             options += ["--methods", ",".join(scored_by(name)), "--train", *(DATA / path for path in asked.train)]
         else:
-            options += ["--model", *(models or map(model_file, scored_by(name)))]
+            options += ["--horizon", 0.5, "--model", *(models or map(model_file, scored_by(name)))]
         metrics = evaluated(*options, "--test", *(path for paths in files.values() for path in paths))
     windows = metrics["settings"]["windows"]
     together = {method: scores(entry) for method, entry in metrics["methods"].items()}
