@@ -45,19 +45,19 @@ def training_windows(
     names = [(each.collection, each.task, f"{each.collection}/{each.subject}") for each in used]
     collections, tasks, subjects = (np.unique(of, return_inverse=True)[1] for of in zip(*names, strict=True))
     groups = _same_people(used) if collections.any() else tasks if tasks.any() else np.arange(len(parts))
-    owner = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
-    future = np.concatenate([part.future for part in parts])
-    whole = np.isfinite(future).all(axis=(1, 2, 3))
+    owner = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    frames, track = (np.concatenate([getattr(part, name) for part in parts]) for name in ("frames", "track"))
+    first = np.cumsum([0, *(len(part.track) for part in parts)])[owner]  # row of each recording's first frame in track
     windows = TrainingWindows(
-        np.concatenate([part.arms for part in parts])[whole],
-        future[whole],
-        np.concatenate([part.up for part in parts])[whole],
-        owner[whole],
+        np.concatenate([part.arms for part in parts]),
+        track[(first + frames)[:, None] + options.ahead],
+        np.concatenate([part.up for part in parts]),
+        owner,
         1.0 / options.rate,
-        np.concatenate([part.frames for part in parts])[whole],
-        groups[owner[whole]],
-        collections[owner[whole]],
-        subjects[owner[whole]],
+        frames,
+        groups[owner],
+        collections[owner],
+        subjects[owner],
     )
     if scene is None:
         return windows
@@ -83,7 +83,7 @@ def _same_people(recordings: Sequence[Recording]) -> Int[np.ndarray, " R"]:
 def observations(part: Windows) -> list[Observation]:
     """The windows of one recording as a predictor sees them."""
     return [
-        Observation(arms, up, 1.0 / part.rate, float(stamp))
+        Observation(arms, up, 1.0 / part.options.rate, float(stamp))
         for arms, up, stamp in zip(part.arms, part.up, part.stamps, strict=True)
     ]
 

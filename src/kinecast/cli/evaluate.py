@@ -147,7 +147,7 @@ def _cut(
         "scene": None if scene is None else scene.name,
         "test": [part.name for part in parts],
         "windows": sum(len(part) for part in parts),
-        "windows_left_out": sum(part.lost + part.not_whole for part in parts),
+        "windows_left_out": sum(part.left_out for part in parts),
     }
     return TestRecording.of(parts, histories), facts
 
