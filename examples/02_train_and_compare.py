@@ -22,7 +22,7 @@ METHODS = ("zero_velocity", "damped_velocity", "ridge", "ridge_constrained")
 
 def main() -> None:
     people = SyntheticOptions(subjects=4, recordings=1, duration=12.0)
-    scene = table_scene(people)
+    scene = table_scene()
     recordings = generate(people, seed=1)
     known = [recording for recording in recordings if recording.subject != "synthetic-3"]
     unknown = [recording for recording in recordings if recording.subject == "synthetic-3"]

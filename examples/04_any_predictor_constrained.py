@@ -57,7 +57,7 @@ def features(windows: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     people = SyntheticOptions(subjects=4, recordings=1, duration=12.0)
-    scene = table_scene(people)
+    scene = table_scene()
     *known, unknown = generate(people, seed=1)  # one recording of each person
     windows = WindowOptions(stride=10)
     data = training_windows(known, windows, scene)
