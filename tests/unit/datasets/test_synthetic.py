@@ -21,23 +21,33 @@ from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse
 
 OPTIONS = SyntheticOptions(subjects=4, recordings=3, duration=20.0)
+Tracked = Callable[..., list[Recording]]
 FLAWS = ("NOISE", "BREATHING", "REPEATED", "JUMPS", "DROPOUTS")
 LIMBS = ((0, 1), (1, 2), (3, 4), (4, 5))
 WRISTS = [2, 5]
 
 
 @pytest.fixture(scope="module")
-def clean() -> list[Recording]:
-    return generate_clean(OPTIONS, seed=5)
+def performances() -> list[tuple[Recording, np.random.SeedSequence]]:
+    return synthetic._performances(OPTIONS, seed=5)
+
+
+@pytest.fixture(scope="module")
+def clean(performances: list[tuple[Recording, np.random.SeedSequence]]) -> list[Recording]:
+    return [truth for truth, _ in performances]
 
 
 @pytest.fixture
-def only(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """only(NOISE=0.004) → a tracker with no flaw but those."""
+def tracked(
+    performances: list[tuple[Recording, np.random.SeedSequence]], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., list[Recording]]:
+    """tracked(NOISE=0.004) → the people of `clean` seen by a tracker with no flaw but those."""
 
-    def make(**flaws: float) -> None:
+    def make(**flaws: float) -> list[Recording]:
         for name in FLAWS:
             monkeypatch.setattr(synthetic, name, flaws.get(name, 0.0))
+        monkeypatch.setattr(synthetic, "_performances", lambda *_: performances)
+        return generate(OPTIONS, seed=5)
 
     return make
 
@@ -157,18 +167,15 @@ def test_hesitation_changes_some_reaches(monkeypatch: pytest.MonkeyPatch) -> Non
         assert np.abs(a.positions - b.positions).max() > 0.1
 
 
-def test_without_flaws_the_measured_motion_is_the_true_one(only: Callable[..., None]) -> None:
-    only()
-    short = replace(OPTIONS, subjects=2, duration=5.0)
-    for measured, truth in zip(generate(short, 4), generate_clean(short, 4), strict=True):
+def test_without_flaws_the_measured_motion_is_the_true_one(clean: list[Recording], tracked: Tracked) -> None:
+    for measured, truth in zip(tracked(), clean, strict=True):
         np.testing.assert_allclose(measured.positions, truth.positions, atol=1e-12)
         assert measured.labels == truth.labels
         np.testing.assert_array_equal(measured.stamps, truth.stamps)
 
 
-def test_noise_has_the_stated_spread(clean: list[Recording], only: Callable[..., None]) -> None:
-    only(NOISE=0.004)
-    noisy = generate(OPTIONS, seed=5)
+def test_noise_has_the_stated_spread(clean: list[Recording], tracked: Tracked) -> None:
+    noisy = tracked(NOISE=0.004)
     error = np.concatenate([m.positions - t.positions for m, t in zip(noisy, clean, strict=True)])
     chest, wrist = error[:, noisy[0].joints.index("chest")], error[:, 2]
     tolerance = 5 * 0.004 / np.sqrt(2 * chest.size)  # five standard errors of a standard deviation
@@ -176,9 +183,8 @@ def test_noise_has_the_stated_spread(clean: list[Recording], only: Callable[...,
     assert wrist.std() == pytest.approx(0.006, abs=1.5 * tolerance)
 
 
-def test_all_bones_breathe_together(clean: list[Recording], only: Callable[..., None]) -> None:
-    only(BREATHING=0.04)
-    breathing = generate(OPTIONS, seed=5)
+def test_all_bones_breathe_together(clean: list[Recording], tracked: Tracked) -> None:
+    breathing = tracked(BREATHING=0.04)
     scale = np.stack([limb_lengths(m) / limb_lengths(t) for m, t in zip(breathing, clean, strict=True)])
     assert np.ptp(scale, axis=2).max() < 1e-12, "one factor for all bones"
     factor = scale[..., 0] - 1.0
@@ -190,16 +196,14 @@ def test_all_bones_breathe_together(clean: list[Recording], only: Callable[..., 
     assert correlation == pytest.approx(np.exp(-lag / 30 / 0.83), abs=0.1)
 
 
-def test_repeated_frames_come_at_the_stated_rate(only: Callable[..., None]) -> None:
-    only(NOISE=0.001, REPEATED=0.1)
-    measured = generate(OPTIONS, seed=6)
+def test_repeated_frames_come_at_the_stated_rate(tracked: Tracked) -> None:
+    measured = tracked(NOISE=0.001, REPEATED=0.1)
     repeated = np.concatenate([np.all(np.diff(r.positions, axis=0) == 0, axis=(1, 2)) for r in measured])
     assert repeated.mean() == pytest.approx(0.1, abs=4 * np.sqrt(0.1 * 0.9 / repeated.size))
 
 
-def test_dropouts_lose_a_wrist_or_a_forearm_and_never_the_trunk(only: Callable[..., None]) -> None:
-    only(DROPOUTS=0.05)
-    measured = generate(OPTIONS, seed=7)
+def test_dropouts_lose_a_wrist_or_a_forearm_and_never_the_trunk(tracked: Tracked) -> None:
+    measured = tracked(DROPOUTS=0.05)
     lost = np.concatenate([~r.valid for r in measured])
     assert not lost[:, [0, 3, 6, 7, 8, 9]].any()
     assert not (lost[:, 1] & ~lost[:, 2]).any(), "an elbow is lost with its wrist"
@@ -209,9 +213,8 @@ def test_dropouts_lose_a_wrist_or_a_forearm_and_never_the_trunk(only: Callable[.
     assert frames == pytest.approx(0.05, abs=4 * 0.05 * np.sqrt(2 / runs))  # geometric runs
 
 
-def test_jumps_are_rare_short_and_bounded(clean: list[Recording], only: Callable[..., None]) -> None:
-    only(JUMPS=0.5)
-    measured = generate(OPTIONS, seed=5)
+def test_jumps_are_rare_short_and_bounded(clean: list[Recording], tracked: Tracked) -> None:
+    measured = tracked(JUMPS=0.5)
     jumped = 0
     for bad, truth in zip(measured, clean, strict=True):
         off = np.linalg.norm(bad.positions - truth.positions, axis=-1)

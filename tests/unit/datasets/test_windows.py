@@ -178,26 +178,28 @@ def errors(cuts: list[Windows]) -> tuple[float, float]:
     return 1e3 * float(np.nanmean(zero)), 1e3 * float(np.nanmean(constant))
 
 
+@pytest.fixture(scope="module")
+def pick_place(data_root: Path) -> list[Recording]:
+    return load(data_root / "human_robot_animations" / "PickPlaceCloseHuman")
+
+
 def test_the_known_figures_on_ha4m(data_root: Path) -> None:
-    cuts = list(all_windows(load(data_root / "ha4m_features_demo" / "UpSkel" / "IDU001V002.npy"), WindowOptions()))
+    cuts = all_windows(load(data_root / "ha4m_features_demo" / "UpSkel" / "IDU001V002.npy"), WindowOptions())
     zero, constant = errors(cuts)
     assert zero == pytest.approx(48.2, abs=0.5)
     assert constant == pytest.approx(65.7, abs=2.0)
 
 
-def test_the_known_figures_on_vicon(data_root: Path) -> None:
-    recordings = load(data_root / "human_robot_animations" / "PickPlaceCloseHuman")
-    cuts = list(all_windows(recordings, WindowOptions()))
+def test_the_known_figures_on_vicon(pick_place: list[Recording]) -> None:
+    cuts = all_windows(pick_place, WindowOptions())
     zero, constant = errors(cuts)
     assert sum(len(cut) for cut in cuts) == 366
     assert zero == pytest.approx(102.5, abs=2.0)
     assert constant == pytest.approx(75.4, abs=3.0)
 
 
-def test_gaps_and_jumps_of_real_recordings_are_survived(data_root: Path) -> None:
-    recordings = load(data_root / "human_robot_animations" / "PickPlaceCloseHuman")
-    recordings += load(data_root / "human_assembly_data" / "Task2" / "Human2")
-    for recording in recordings:
+def test_gaps_and_jumps_of_real_recordings_are_survived(data_root: Path, pick_place: list[Recording]) -> None:
+    for recording in [*pick_place[:2], *load(data_root / "human_assembly_data" / "Task2" / "Human2")]:
         every = windows(recording, WindowOptions(whole=False))
         assert np.isfinite(every.arms).all()
         assert np.isfinite(every.up).all()
