@@ -103,7 +103,7 @@ def windows(recording: Recording, options: WindowOptions) -> Windows:
     require_arms(recording.joints, recording.source or recording.name)
     seen = resample(recording, options.rate)
     arms, n = seen.arms, options.observed_steps
-    track = resample(repair(recording)[0], options.rate).arms if options.mend_future else arms
+    track = resample(repair(recording), options.rate).arms if options.mend_future else arms
     last = np.arange(n - 1, len(arms) - options.predicted_steps, options.stride)
     if options.label is not None:
         last = last[np.array(seen.labels or ("",) * len(arms))[last] == options.label]
