@@ -76,9 +76,7 @@ def brief(each: dict[str, Any]) -> dict[str, Any]:
 
 def tests_of(recordings: Sequence[Recording], stride: int) -> list[TestRecording]:
     """Windows and the frames before them."""
-    options = replace(OPTIONS, stride=stride)
-    parts = all_windows(recordings, options)
-    return TestRecording.of(parts, all_windows(recordings, every_frame(OPTIONS)))
+    return TestRecording.of(recordings, replace(OPTIONS, stride=stride))
 
 
 def reaches(path: np.ndarray, rate: float) -> list[tuple[int, int]]:

@@ -80,14 +80,6 @@ def _same_people(recordings: Sequence[Recording]) -> Int[np.ndarray, " R"]:
     return np.array([group[recording.collection] for recording in recordings])
 
 
-def observations(part: Windows) -> list[Observation]:
-    """The windows of one recording as a predictor sees them."""
-    return [
-        Observation(arms, up, 1.0 / part.options.rate, float(stamp))
-        for arms, up, stamp in zip(part.arms, part.up, part.stamps, strict=True)
-    ]
-
-
 def every_frame(options: WindowOptions) -> WindowOptions:
     """Options for the windows that end with each frame, gaps and all: what an online predictor sees."""
     return replace(options, stride=1, whole=False, label=None)
@@ -96,7 +88,9 @@ def every_frame(options: WindowOptions) -> WindowOptions:
 def followed(history: Windows) -> list[tuple[int, Observation, Float[np.ndarray, "6 3"]]]:
     """Frame after frame: its index, the window that ends with it, and what was measured, NaN where it was not."""
     measured = np.where(history.touched[:, -1, :, None], np.nan, history.arms[:, -1])
-    return list(zip(history.frames.tolist(), observations(history), measured, strict=True))
+    each = zip(history.frames.tolist(), history.arms, history.up, history.stamps.tolist(), measured, strict=True)
+    dt = 1.0 / history.options.rate
+    return [(frame, Observation(arms, up, dt, stamp), now) for frame, arms, up, stamp, now in each]
 
 
 def frames(recording: Recording) -> Iterator[SkeletonFrame]:

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
-from kinecast.datasets.windows import Windows
+from kinecast.datasets.recording import Recording
+from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.metrics import (
     LEVELS,
     WRISTS,
@@ -26,7 +27,7 @@ from kinecast.evaluation.metrics import (
     scored,
 )
 from kinecast.geometry.scene import Scene
-from kinecast.pipeline import followed, observations
+from kinecast.pipeline import every_frame, followed
 from kinecast.prediction.method import Forecast, Method, forecast_in_scene
 from kinecast.prediction.observation import Observation
 from kinecast.tasks import Progress, Serial, Workers, generator, scatter
@@ -54,6 +55,7 @@ class TestRecording:
         frames: (W,) index of each window's last frame.
         history: every frame from the first full window on, those to be scored among them: its index, the window that
             ends with it, and (6, 3) what was measured [m], NaN where it was not.
+        left_out: windows in which an arm joint was lost or not measured.
     """
 
     __test__ = False  # not a pytest class
@@ -63,12 +65,21 @@ class TestRecording:
     future: Float[np.ndarray, "W T 6 3"]
     frames: Int[np.ndarray, " W"]
     history: Sequence[tuple[int, Observation, Float[np.ndarray, "6 3"]]]
+    left_out: int = 0
 
     @classmethod
-    def of(cls, parts: Sequence[Windows], histories: Sequence[Windows]) -> list[TestRecording]:
-        """Recordings from their test windows and, by name, those that end with each frame (`pipeline.every_frame`)."""
-        every = {history.name: history for history in histories}
-        return [cls(p.name, observations(p), p.future, p.frames, followed(every[p.name])) for p in parts]
+    def of(
+        cls, recordings: Sequence[Recording], options: WindowOptions, workers: Workers | None = None
+    ) -> list[TestRecording]:
+        """Recordings cut into windows; those without one are passed over. Raises as `all_windows`."""
+        parts = all_windows(recordings, options, workers=workers)
+        every = {each.name: followed(each) for each in all_windows(recordings, every_frame(options), workers=workers)}
+        tests = []
+        for part in parts:
+            seen = {frame: observation for frame, observation, _ in every[part.name]}
+            ends = [seen[frame] for frame in part.frames.tolist()]
+            tests.append(cls(part.name, ends, part.future, part.frames, every[part.name], part.left_out))
+        return tests
 
 
 @dataclass(frozen=True)
