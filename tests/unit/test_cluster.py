@@ -64,7 +64,7 @@ def outcome(people: list[Recording], workers: Workers, progress: Any = None) -> 
     methods["kinecast"] = whole["kinecast"]  # it follows the person; training it takes long
     arrays = {f"{name}.{key}": a.tobytes() for name, m in methods.items() for key, a in m.to_arrays().items()}
     recordings = TestRecording.of(people[2:], WindowOptions(stride=20), workers)
-    options = EvaluationOptions(samples=20, repeats=2, repeat_windows=4)
+    options = EvaluationOptions(samples=20, repeats=2)
     scores, histograms = evaluate(methods, recordings, None, options, workers=workers)
     for score in scores["methods"].values():
         del score["latency_ms"]

@@ -40,7 +40,7 @@ from kinecast.evaluation.plots import (
     plot_over_horizon,
     plot_violations,
 )
-from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import LIMITS, REPEATED, EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.output import all_or_none, write_atomically
 from kinecast.prediction.method import Method, forecast_in_scene
@@ -78,7 +78,7 @@ def run_evaluation(
         What metrics.json holds.
     """
     results, histograms = evaluate(methods, recordings, scene, options, progress, workers)
-    drawn = {name: getattr(options, name) for name in ("samples", "repeats", "repeat_windows", "seed")}
+    drawn = {"samples": options.samples, "repeats": options.repeats, "repeat_windows": REPEATED, "seed": options.seed}
     metrics: dict[str, Any] = {"settings": {**settings, **drawn}, **results}
     name, method = list(methods.items())[-1]
     recording, frame = _busiest(recordings)
@@ -120,7 +120,7 @@ def _moments(
         rng = np.random.default_rng(options.seed)  # the same draws in each, so that the samples move smoothly
         forecast = forecast_in_scene(method, state, seen, rng, options.samples, scene)
         truth = np.stack([measured_at.get(frame + k, unknown) for k in range(1, method.steps + 1)])
-        moments[frame] = Moment(seen.positions, forecast.samples, forecast.mean, seen.dt, truth, seen.stamp)
+        moments[frame] = Moment(seen.positions, forecast.samples, forecast.mean, truth, seen.dt, seen.stamp)
     return moments
 
 

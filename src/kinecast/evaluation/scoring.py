@@ -40,6 +40,9 @@ LIMITS = ("position", "speed", "scene")
 Scores = dict[str, Any]
 """Of one window, by name."""
 
+REPEATED = 60
+"""Windows, evenly spread over all, whose NLL is taken again and again."""
+
 BOOTSTRAP_BLOCK = 5.0
 """Windows within this time of one another [s] are drawn together for standard errors."""
 
@@ -88,15 +91,13 @@ class EvaluationOptions:
 
     Attributes:
         samples: S, motions drawn per window.
-        repeats: how often the NLL is taken again with fresh random draws, for its histogram.
-        repeat_windows: windows, evenly spread over all, on which it is.
+        repeats: how often the NLL of `REPEATED` windows is taken again with fresh random draws, for its histogram.
         seed: of the draws and of the bootstrap.
         limits: against which samples and truth are counted, whatever a method holds itself to.
     """
 
     samples: int = 1000
     repeats: int = 25
-    repeat_windows: int = 60
     seed: int = 0
     limits: JointLimits = field(default_factory=JointLimits)
 
@@ -229,7 +230,7 @@ def score_recording(
 
 def _repeated(owner: Int[np.ndarray, " W"], recordings: int, options: EvaluationOptions) -> list[frozenset[int]]:
     """Per recording, rows of the windows whose NLL is taken again."""
-    count = min(options.repeat_windows, len(owner)) if options.repeats else 0
+    count = min(REPEATED, len(owner)) if options.repeats else 0
     again = np.linspace(0, len(owner) - 1, count).astype(int)
     first = np.searchsorted(owner, np.arange(recordings))
     return [frozenset((again[owner[again] == k] - start).tolist()) for k, start in enumerate(first.tolist())]

@@ -160,7 +160,7 @@ def test_what_was_not_measured_is_not_scored() -> None:
     holed.future[:, :, 2] = np.nan
     holed.future[3] = np.nan
     methods = {"zero": gaussian(False, 0.02)}
-    options = EvaluationOptions(samples=100, repeats=2, repeat_windows=12)
+    options = EvaluationOptions(samples=100, repeats=2)
     results, histograms = evaluate(methods, [holed], None, options)
     score = results["methods"]["zero"]
     # Zero velocity errs alike everywhere, so what is left has the same mean.
@@ -195,7 +195,7 @@ def test_recordings_are_reported_apart_and_together() -> None:
 
 
 def test_the_histogram_repeats_the_nll_with_fresh_draws() -> None:
-    options = EvaluationOptions(samples=50, repeats=3, repeat_windows=4)
+    options = EvaluationOptions(samples=50, repeats=3)
     methods = {"exact": gaussian(True, 0.01)}
     results, histograms = evaluate(methods, [gliding(0.5)], None, options)
     # A closed form does not depend on the draws.
@@ -214,7 +214,7 @@ def test_scores_do_not_depend_on_which_other_methods_are_scored() -> None:
 
 def test_progress_counts_to_the_end() -> None:
     seen: list[tuple[int, int]] = []
-    options = EvaluationOptions(samples=5, repeats=2, repeat_windows=3)
+    options = EvaluationOptions(samples=5, repeats=2)
     evaluate(
         {"a": gaussian(False, 0.02), "b": gaussian(True, 0.02)},
         [gliding(0.5)],
