@@ -212,12 +212,20 @@ def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], pat
     """One file: kept if whole, else gathered in a `.part` file also across runs, checked and moved into place."""
     # another version of the file waits under another name
     part = target.with_name(f"{target.name}.{remote.checksum.partition(':')[2][:8]}.part")
+    failures = most = 0
     try:
         if remote.is_at(target):
             return
         target.parent.mkdir(parents=True, exist_ok=True)
         part.touch()
-        _gather(remote, part, advance, patience)
+        while part.stat().st_size != remote.size:
+            problem, present = _gather(remote, part, advance), part.stat().st_size
+            failures, most = 1 if present > most else failures + 1, max(most, present)
+            if present != remote.size and failures >= ATTEMPTS:
+                kept = f"{present} of {remote.size} bytes are kept: the same command continues there."
+                raise DownloadError(f"{remote.name}: {problem} ({remote.url}). {kept}")
+            if present != remote.size:
+                time.sleep(patience * 2 ** (failures - 1))
         if not remote.is_at(part):
             part.unlink()
             problem = f"is not the file it should be (its checksum differs from {remote.checksum})"
@@ -230,6 +238,37 @@ def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], pat
     finally:
         if part.exists() and not part.stat().st_size:
             part.unlink()
+
+
+def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> str:
+    """Appends what is missing, from the start if the server cannot resume; says what ended the connection."""
+    have = part.stat().st_size if part.stat().st_size <= remote.size else 0
+    try:
+        with _open(remote.url, {"Range": f"bytes={have}-"} if have else {}) as response:
+            resumed = response.status == 206 and response.headers.get("Content-Range", "").startswith(f"bytes {have}-")
+            have = have if resumed else 0
+            with part.open("ab" if resumed else "wb") as file:
+                while have <= remote.size and (chunk := response.read(CHUNK)):
+                    have += len(chunk)
+                    file.write(chunk)
+                    advance(have)
+    except urllib.error.HTTPError as error:
+        with error:
+            if error.code == 416:  # what is there does not fit the file: start again
+                part.write_bytes(b"")
+            elif error.code < 500 and error.code != 429:
+                answer = f"{error.code} {error.reason} for {remote.url}"
+                raise DownloadError(f"{remote.name}: the server answers {answer}") from None
+            return str(error.reason)
+    except DownloadError:
+        raise
+    except (OSError, HTTPException) as error:
+        return str(getattr(error, "reason", None) or error) or type(error).__name__
+    if have > remote.size:
+        part.unlink()
+        more = f"the server sends more than the file's {remote.size} bytes ({remote.url})"
+        raise DownloadError(f"{remote.name}: {more}; nothing of it is kept")
+    return "connection closed"
 
 
 def _unpacked(archive: Path, path: Path, model: RemoteFile, home: str) -> Path:
@@ -252,56 +291,6 @@ def _unpacked(archive: Path, path: Path, model: RemoteFile, home: str) -> Path:
         part.unlink(missing_ok=True)
     archive.unlink()
     return path
-
-
-def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], patience: float) -> None:
-    """Bytes appended to a file until all are there; gives up when connections break again and again."""
-    failures = most = 0
-    while part.stat().st_size != remote.size:
-        problem = "connection closed"
-        try:
-            _gather_once(remote, part, advance)
-        except DownloadError:
-            raise
-        except (OSError, HTTPException) as error:
-            problem = str(getattr(error, "reason", None) or error) or type(error).__name__
-        present = part.stat().st_size
-        if present == remote.size:
-            return
-        failures, most = 1 if present > most else failures + 1, max(most, present)
-        if failures >= ATTEMPTS:
-            kept = f"{present} of {remote.size} bytes are kept: the same command continues there."
-            raise DownloadError(f"{remote.name}: {problem} ({remote.url}). {kept}")
-        time.sleep(patience * 2 ** (failures - 1))
-
-
-def _gather_once(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> None:
-    """One connection: append what is missing, from the start if the server cannot resume."""
-    have = part.stat().st_size if part.stat().st_size <= remote.size else 0
-    try:
-        response = _open(remote.url, {"Range": f"bytes={have}-"} if have else {})
-    except urllib.error.HTTPError as error:
-        with error:
-            if error.code == 416:  # what is there does not fit the file: start again
-                part.write_bytes(b"")
-                return
-            if error.code < 500 and error.code != 429:
-                answer = f"{error.code} {error.reason} for {remote.url}"
-                raise DownloadError(f"{remote.name}: the server answers {answer}") from None
-            raise
-    with response:
-        resumed = response.status == 206 and response.headers.get("Content-Range", "").startswith(f"bytes {have}-")
-        if not resumed:
-            have = 0
-        with part.open("ab" if resumed else "wb") as file:
-            while have <= remote.size and (chunk := response.read(CHUNK)):
-                have += len(chunk)
-                file.write(chunk)
-                advance(have)
-    if have > remote.size:
-        part.unlink()
-        more = f"the server sends more than the file's {remote.size} bytes ({remote.url})"
-        raise DownloadError(f"{remote.name}: {more}; nothing of it is kept")
 
 
 def _open(url: str, headers: dict[str, str]) -> http.client.HTTPResponse:
