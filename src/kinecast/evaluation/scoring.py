@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -53,8 +54,7 @@ class TestRecording:
 
     Attributes:
         name: of the recording.
-        observations: W windows as a predictor sees them online.
-        future: (W, T, 6, 3) what was measured next [m], NaN where it was not.
+        future: (W, T, 6, 3) what was measured after each window [m], NaN where it was not.
         frames: (W,) index of each window's last frame.
         history: every frame from the first full window on, those to be scored among them: its index, the window that
             ends with it, and (6, 3) what was measured [m], NaN where it was not.
@@ -64,7 +64,6 @@ class TestRecording:
     __test__ = False  # not a pytest class
 
     name: str
-    observations: Sequence[Observation]
     future: Float[np.ndarray, "W T 6 3"]
     frames: Int[np.ndarray, " W"]
     history: Sequence[tuple[int, Observation, Float[np.ndarray, "6 3"]]]
@@ -77,12 +76,13 @@ class TestRecording:
         """Recordings cut into windows; those without one are passed over. Raises as `all_windows`."""
         parts = all_windows(recordings, options, workers=workers)
         every = {each.name: followed(each) for each in all_windows(recordings, every_frame(options), workers=workers)}
-        tests = []
-        for part in parts:
-            seen = {frame: observation for frame, observation, _ in every[part.name]}
-            ends = [seen[frame] for frame in part.frames.tolist()]
-            tests.append(cls(part.name, ends, part.future, part.frames, every[part.name], part.left_out))
-        return tests
+        return [cls(part.name, part.future, part.frames, every[part.name], part.left_out) for part in parts]
+
+    @cached_property
+    def observations(self) -> list[Observation]:
+        """W windows as a predictor sees them online."""
+        seen = {frame: observation for frame, observation, _ in self.history}
+        return [seen[frame] for frame in self.frames.tolist()]
 
 
 @dataclass(frozen=True)
