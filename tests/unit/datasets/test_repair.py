@@ -86,8 +86,7 @@ def test_injected_jumps_are_found_in_clean_real_motion(data_root: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("clip", "repeated", "jumps"),
-    [("IDU001V001", 68, (1025, 1063, 1136)), ("IDU001V002", 62, (1727,))],
+    ("clip", "repeated", "jumps"), [("IDU001V001", 68, (1025, 1063, 1136)), ("IDU001V002", 62, (1727,))]
 )
 def test_the_known_slips_of_a_real_camera_are_found(
     data_root: Path, clip: str, repeated: int, jumps: tuple[int, ...]
