@@ -48,8 +48,9 @@ class Body:
         # single bones vary by 3 % at the same height
         shares = np.array([0.129, 0.040, 0.110, 0.186, 0.146])  # half width, neck, head, upper arm, forearm
         bones = height * shares * np.clip(rng.normal(1.0, 0.03, 5), 0.94, 1.06)
+        half_width, neck, head, upper, fore = bones.tolist()
         return cls(
-            0.530 * height, 0.288 * height, *bones.tolist(),
+            0.530 * height, 0.288 * height, half_width, neck, head, upper, fore,
             swivel=float(np.radians(rng.uniform(15.0, 40.0))),
             tempo=float(rng.uniform(0.75, 1.05)),
             stretch=float(rng.uniform(0.88, 0.98)),
