@@ -32,9 +32,9 @@ import psutil
 
 from benchmarks.machine import facts, save
 from kinecast.datasets.loading import load_all
-from kinecast.datasets.windows import WindowOptions, all_windows
+from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import every_frame, training_windows
+from kinecast.pipeline import training_windows
 from kinecast.prediction.kinecast.experts import FeatureScale, arm_views
 from kinecast.prediction.methods import train
 from kinecast.prediction.observation import TrainingWindows
@@ -169,13 +169,12 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
     most = min(len(windows), arguments.windows)
     windows = windows.take(_leading(windows.recording, share * most / len(windows)))
     methods = train(arguments.methods.split(","), windows, workers=workers)
-    parts = all_windows(tested, options)
-    scored = TestRecording.of(parts, all_windows(tested, every_frame(options)))
+    scored = TestRecording.of(tested, options)
     evaluate(methods, scored, None, EvaluationOptions(arguments.samples, arguments.repeats), workers=workers)
     return {
         "training_windows": len(windows),
         "frames": int(sum(each.duration for each in others) * RATE),
-        "scored_windows": sum(len(part) for part in parts),
+        "scored_windows": sum(len(each.observations) for each in scored),
         "window_bytes": (windows.observed.nbytes + windows.future.nbytes) / len(windows),
         "fit_bytes": _fit_bytes(windows),
         "read_s_per_hour": read / sum(each.duration for each in recordings) * 3600,

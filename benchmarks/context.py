@@ -76,9 +76,7 @@ def brief(each: dict[str, Any]) -> dict[str, Any]:
 
 def tests_of(recordings: Sequence[Recording], stride: int) -> list[TestRecording]:
     """Windows and the frames before them."""
-    options = replace(OPTIONS, stride=stride)
-    parts = all_windows(recordings, options)
-    return TestRecording.of(parts, all_windows(recordings, every_frame(OPTIONS)))
+    return TestRecording.of(recordings, replace(OPTIONS, stride=stride))
 
 
 def reaches(path: np.ndarray, rate: float) -> list[tuple[int, int]]:
@@ -175,7 +173,7 @@ def on_goals(samples: int, stride: int, people: int = PEOPLE) -> dict[str, Any]:
     method = shipped_methods()[1]["kinecast"]
     assert isinstance(method, Kinecast)
     options = SyntheticOptions(subjects=people, recordings=3, duration=DURATION)
-    scene = table_scene(options)
+    scene = table_scene()
     goals = {name: scene.goals[name] for name in CUBES}
     measured = [each for each in generate(options, SEED) if each.task in TASKS]
     clean = [each for each in generate_clean(options, SEED) if each.task in TASKS]
@@ -206,7 +204,7 @@ def on_cost(samples: int) -> dict[str, Any]:
     method = shipped_methods()[1]["kinecast"]
     assert isinstance(method, Kinecast)
     options = SyntheticOptions(subjects=1, recordings=1, duration=8.0)
-    scene, (person,) = table_scene(options), generate(options, SEED)
+    scene, (person,) = table_scene(), generate(options, SEED)
     scenes = {count: Scene((), {name: scene.goals[name] for name in CUBES[:count]}) for count in (0, 1, 3, 5)}
     seconds: dict[int, list[float]] = {count: [] for count in scenes}
     (part,) = all_windows([person], every_frame(OPTIONS))

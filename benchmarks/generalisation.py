@@ -29,9 +29,9 @@ from benchmarks.machine import RESULTS, facts, save
 from kinecast.body.limits import JointLimits
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.windows import WindowOptions, all_windows
+from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import every_frame, training_windows
+from kinecast.pipeline import training_windows
 from kinecast.prediction.gaussian import PositionGaussian
 from kinecast.prediction.linear import damped
 from kinecast.prediction.method import Method
@@ -142,7 +142,7 @@ def scored_on(found: Sequence[Recording], windows: int) -> tuple[list[TestRecord
     chosen = spread(found)
     frames = sum(max(recording.duration * OPTIONS.rate - OPTIONS.predicted_steps, 0.0) for recording in chosen)
     options = replace(OPTIONS, stride=max(1, round(frames / windows)))
-    recordings = TestRecording.of(all_windows(chosen, options), all_windows(chosen, every_frame(options)))
+    recordings = TestRecording.of(chosen, options)
     count = sum(len(each.observations) for each in recordings)
     about = {"windows": count, "stride": options.stride, "recordings": len(recordings), "recordings_of": len(found)}
     return recordings, about | ({"names": [r.name for r in recordings]} if len(chosen) < len(found) else {})

@@ -30,7 +30,7 @@ from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.single_view import BODY, ScaleOptions, SingleView, height_of, turn_towards
 from kinecast.cameras.video import VideoStream
 from kinecast.datasets.loading import load_all
-from kinecast.datasets.model_cache import cached_model
+from kinecast.datasets.remote_file import cached_model
 from kinecast.geometry.transforms import apply
 from kinecast.live.publication import Publication
 from kinecast.predictor import Predictor

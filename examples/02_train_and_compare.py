@@ -12,9 +12,9 @@ from pathlib import Path
 
 from kinecast import Predictor, PredictorOptions
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
-from kinecast.datasets.windows import WindowOptions, all_windows
+from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import every_frame, training_windows
+from kinecast.pipeline import training_windows
 from kinecast.prediction.methods import card_of, limits_of, save_method, train
 
 METHODS = ("zero_velocity", "damped_velocity", "ridge", "ridge_constrained")
@@ -22,7 +22,7 @@ METHODS = ("zero_velocity", "damped_velocity", "ridge", "ridge_constrained")
 
 def main() -> None:
     people = SyntheticOptions(subjects=4, recordings=1, duration=12.0)
-    scene = table_scene(people)
+    scene = table_scene()
     recordings = generate(people, seed=1)
     known = [recording for recording in recordings if recording.subject != "synthetic-3"]
     unknown = [recording for recording in recordings if recording.subject == "synthetic-3"]
@@ -34,8 +34,7 @@ def main() -> None:
     print(f"trained on {len(data)} windows of {len(known)} people, tested on synthetic-3\n")
 
     # Methods that learn from the person in view are shown every frame; scores are taken at every tenth.
-    histories = all_windows(unknown, every_frame(windows))
-    tests = TestRecording.of(all_windows(unknown, windows), histories)
+    tests = TestRecording.of(unknown, windows)
     results, _ = evaluate(methods, tests, scene, EvaluationOptions(samples=200, repeats=0, limits=limits))
     print(f"{'':20} MPJPE mm  CRPS mm     NLL  inside 90 %  violations (range, speed, scene)")
     for name, scores in results["methods"].items():

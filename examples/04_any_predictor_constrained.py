@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
-from kinecast.datasets.windows import WindowOptions, all_windows
+from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import every_frame, training_windows
+from kinecast.pipeline import training_windows
 from kinecast.prediction.gaussian import PostureGaussian
 from kinecast.prediction.methods import limits_of
 from kinecast.prediction.noise import sensor_noise
@@ -57,7 +57,7 @@ def features(windows: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     people = SyntheticOptions(subjects=4, recordings=1, duration=12.0)
-    scene = table_scene(people)
+    scene = table_scene()
     *known, unknown = generate(people, seed=1)  # one recording of each person
     windows = WindowOptions(stride=10)
     data = training_windows(known, windows, scene)
@@ -67,7 +67,7 @@ def main() -> None:
         "free": PostureGaussian.fit(NearestNeighbours.fit, data, noise, None),
         "constrained": PostureGaussian.fit(NearestNeighbours.fit, data, noise, limits),
     }
-    tests = TestRecording.of(all_windows([unknown], windows), all_windows([unknown], every_frame(windows)))
+    tests = TestRecording.of([unknown], windows)
     results, _ = evaluate(methods, tests, scene, EvaluationOptions(samples=200, repeats=0, limits=limits))
     print(f"{'neighbours':12} MPJPE mm     NLL  inside 90 %  violations (range, speed, scene)")
     for name, scores in results["methods"].items():

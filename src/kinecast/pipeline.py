@@ -45,19 +45,23 @@ def training_windows(
     names = [(each.collection, each.task, f"{each.collection}/{each.subject}") for each in used]
     collections, tasks, subjects = (np.unique(of, return_inverse=True)[1] for of in zip(*names, strict=True))
     groups = _same_people(used) if collections.any() else tasks if tasks.any() else np.arange(len(parts))
-    owner = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
-    future = np.concatenate([part.future for part in parts], dtype=np.float32)  # a tenth of a micrometre, half the room
-    whole = np.isfinite(future).all(axis=(1, 2, 3))
+    owner = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    frames = np.concatenate([part.frames for part in parts])
+    # Single precision: a tenth of a micrometre, and half the room.
+    arms, track = (
+        np.concatenate([getattr(part, name) for part in parts], dtype=np.float32) for name in ("arms", "track")
+    )
+    first = np.cumsum([0, *(len(part.track) for part in parts)])[owner]  # row of each recording's first frame in track
     windows = TrainingWindows(
-        np.concatenate([part.arms for part in parts], dtype=np.float32)[whole],
-        future[whole],
-        np.concatenate([part.up for part in parts])[whole],
-        owner[whole],
+        arms,
+        track[(first + frames)[:, None] + options.ahead],
+        np.concatenate([part.up for part in parts]),
+        owner,
         1.0 / options.rate,
-        np.concatenate([part.frames for part in parts])[whole],
-        groups[owner[whole]],
-        collections[owner[whole]],
-        subjects[owner[whole]],
+        frames,
+        groups[owner],
+        collections[owner],
+        subjects[owner],
     )
     if scene is None:
         return windows
@@ -80,14 +84,6 @@ def _same_people(recordings: Sequence[Recording]) -> Int[np.ndarray, " R"]:
     return np.array([group[recording.collection] for recording in recordings])
 
 
-def observations(part: Windows) -> list[Observation]:
-    """The windows of one recording as a predictor sees them."""
-    return [
-        Observation(arms, up, 1.0 / part.rate, float(stamp))
-        for arms, up, stamp in zip(part.arms, part.up, part.stamps, strict=True)
-    ]
-
-
 def every_frame(options: WindowOptions) -> WindowOptions:
     """Options for the windows that end with each frame, gaps and all: what an online predictor sees."""
     return replace(options, stride=1, whole=False, label=None)
@@ -96,7 +92,9 @@ def every_frame(options: WindowOptions) -> WindowOptions:
 def followed(history: Windows) -> list[tuple[int, Observation, Float[np.ndarray, "6 3"]]]:
     """Frame after frame: its index, the window that ends with it, and what was measured, NaN where it was not."""
     measured = np.where(history.touched[:, -1, :, None], np.nan, history.arms[:, -1])
-    return list(zip(history.frames.tolist(), observations(history), measured, strict=True))
+    each = zip(history.frames.tolist(), history.arms, history.up, history.stamps.tolist(), measured, strict=True)
+    dt = 1.0 / history.options.rate
+    return [(frame, Observation(arms, up, dt, stamp), now) for frame, arms, up, stamp, now in each]
 
 
 def frames(recording: Recording) -> Iterator[SkeletonFrame]:

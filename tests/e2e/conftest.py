@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from kinecast.cli import main
-from kinecast.datasets import table
+from kinecast.datasets import synthetic, table
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 
 MODEL = Path(__file__).resolve().parents[2] / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
@@ -34,7 +34,7 @@ LIVE = (
 """Ctrl-C means something to it even where the tests run in the background."""
 LONG = 240.0
 """Of a wait for another process, on however busy a machine [s]; most take a second."""
-PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=5.0, jumps=0.0)
+PEOPLE = SyntheticOptions(subjects=2, recordings=1, duration=5.0)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,9 @@ def kinecast(capsys: pytest.CaptureFixture[str]) -> Kinecast:
 def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two files, each with five seconds of another person moving cubes on a table."""
     folder = tmp_path_factory.mktemp("recordings")
-    first, second = generate(PEOPLE, seed=3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthetic, "JUMPS", 0.0)
+        first, second = generate(PEOPLE, seed=3)
     for name, recording in (("first", first), ("second", second)):
         table.write(folder / f"{name}.parquet", [recording])
     return folder / "first.parquet", folder / "second.parquet"

@@ -490,7 +490,7 @@ class TestCompiling:
 
 class TestScenes:
     def test_the_generated_table_is_the_generators(self, scene_file: Path) -> None:
-        shipped, made = Scene.load(scene_file), table_scene(SyntheticOptions())
+        shipped, made = Scene.load(scene_file), table_scene()
         assert np.array_equal(shipped.rows(np.zeros(1)), made.rows(np.zeros(1)))
         assert set(shipped.goals) == set(made.goals)
         for name, goal in made.goals.items():

@@ -24,7 +24,7 @@ from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ClusterError, DatasetError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
-from kinecast.pipeline import all_windows, every_frame, followed, observations, training_windows
+from kinecast.pipeline import all_windows, training_windows
 from kinecast.prediction.kinecast.experts import FeatureScale, arm_views
 from kinecast.prediction.kinecast.objectives import fit_network
 from kinecast.prediction.methods import shipped_methods, train
@@ -64,12 +64,8 @@ def outcome(people: list[Recording], workers: Workers, progress: Any = None) -> 
     _, whole = shipped_methods()
     methods["kinecast"] = whole["kinecast"]  # it follows the person; training it takes long
     arrays = {f"{name}.{key}": a.tobytes() for name, m in methods.items() for key, a in m.to_arrays().items()}
-    every = all_windows(people[2:], every_frame(WindowOptions()), workers=workers)
-    recordings = [
-        TestRecording(part.name, observations(part), part.future, part.frames, followed(history))
-        for part, history in zip(all_windows(people[2:], WindowOptions(stride=20)), every, strict=True)
-    ]
-    options = EvaluationOptions(samples=20, repeats=2, repeat_windows=4)
+    recordings = TestRecording.of(people[2:], WindowOptions(stride=20), workers)
+    options = EvaluationOptions(samples=20, repeats=2)
     scores, histograms = evaluate(methods, recordings, None, options, workers=workers)
     for score in scores["methods"].values():
         del score["latency_ms"]

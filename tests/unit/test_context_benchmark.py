@@ -13,11 +13,11 @@ if find_spec("benchmarks") is None:
 
 from benchmarks import context
 
-from kinecast.datasets.synthetic import Fetch, SyntheticOptions, fetching, table_scene
+from kinecast.datasets.synthetic import Fetch, fetching, table_scene
 from kinecast.prediction.kinecast.model import Kinecast
 from kinecast.prediction.methods import shipped_methods
 
-SCENE = table_scene(SyntheticOptions())
+SCENE = table_scene()
 GOALS = {name: SCENE.goals[name] for name in context.CUBES}
 
 

@@ -17,7 +17,7 @@ from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_nois
 from kinecast.cameras.people_tracker import PeopleTracker, PersonDetector
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
-from kinecast.datasets.model_cache import cached_model
+from kinecast.datasets.remote_file import cached_model
 from kinecast.errors import MissingExtraError, OptionError
 from kinecast.live.clock import SourceClock
 from kinecast.live.detection import Detection, DetectionHandler

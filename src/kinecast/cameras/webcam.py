@@ -19,7 +19,7 @@ from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.rig import Rig
 from kinecast.cameras.single_view import RESTART, ScaleOptions, SingleView
 from kinecast.cameras.video import Colour, VideoStream
-from kinecast.datasets.model_cache import cached_model
+from kinecast.datasets.remote_file import cached_model
 from kinecast.errors import OptionError
 from kinecast.live.detection import LEAST_CONFIDENCE, Detection, DetectionHandler
 from kinecast.live.mailbox import Feed

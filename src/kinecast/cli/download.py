@@ -12,9 +12,8 @@ from tyro.conf import Positional, arg
 
 from kinecast.cli.options import check_folder
 from kinecast.cli.progress import CONSOLE
-from kinecast.datasets.model_cache import cache_folder, fetch_model
+from kinecast.datasets.remote_file import cache_folder, public_sets
 from kinecast.datasets.remote_file import download as fetch
-from kinecast.datasets.remote_file import public_sets
 
 OutFolder = Annotated[
     Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: recordings; of models the cache folder)")
@@ -49,11 +48,8 @@ def download(
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
     bars = Progress(*columns, console=CONSOLE, transient=True, disable=not CONSOLE.is_terminal)
     with _without_empty_folders(place.absolute()), bars as progress:
-        found = fetch_model(name, out, progress, url) if model else fetch(name, place, progress, only, url)
-    if isinstance(found, Path):
-        print(f"{name}: {found}")
-    else:
-        print(f"{len(found)} file{'s' * (len(found) != 1)} in {place}")
+        found = fetch(name, place, progress, only, url)
+    print(f"{name}: {found[0]}" if model else f"{len(found)} file{'s' * (len(found) != 1)} in {place}")
 
 
 @contextmanager

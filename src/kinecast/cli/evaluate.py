@@ -28,11 +28,10 @@ from kinecast.cli.options import (
 from kinecast.cli.progress import compiling, progress_bar
 from kinecast.cli.recordings import read_recordings, unseen
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.windows import WindowOptions, all_windows
+from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
-from kinecast.pipeline import every_frame
 from kinecast.prediction.methods import SHIPPED
 from kinecast.tasks import Serial, Workers
 
@@ -140,16 +139,15 @@ def _cut(
     tested: Sequence[Recording], options: WindowOptions, scene: Path | None, workers: Workers
 ) -> tuple[list[TestRecording], dict[str, Any]]:
     """Windows to be scored, and what is said of them."""
-    parts = all_windows(tested, options, workers=workers)
-    histories = all_windows(tested, every_frame(options), workers=workers)
+    parts = TestRecording.of(tested, options, workers)
     facts = {
         **{name: getattr(options, name) for name in ("rate", "window", "horizon", "stride", "label")},
         "scene": None if scene is None else scene.name,
         "test": [part.name for part in parts],
-        "windows": sum(len(part) for part in parts),
-        "windows_left_out": sum(part.lost + part.not_whole for part in parts),
+        "windows": sum(len(part.observations) for part in parts),
+        "windows_left_out": sum(part.left_out for part in parts),
     }
-    return TestRecording.of(parts, histories), facts
+    return parts, facts
 
 
 def _score(

@@ -101,8 +101,7 @@ def load_all(
     formats = [each for each in known if format in (None, each.name)]
     if not formats:
         raise OptionError(f"format is {format!r}, expected one of {', '.join(sorted(each.name for each in known))}")
-    sources: dict[Path, tuple[Path, Format]] = {}
-    collection: dict[Path, str] = {}
+    sources: dict[Path, tuple[Path, Format, str]] = {}
     for path in map(Path, paths):
         if not path.exists():
             raise DatasetError(path, "no such file or folder")
@@ -114,14 +113,13 @@ def load_all(
             found = [(path, formats[0])]  # its loader knows best what does not match
         if not found:
             raise DatasetError(path, f"no recording found; formats tried: {', '.join(each.name for each in formats)}")
-        named = path.resolve() if path.is_dir() else path.resolve().parent
-        sources |= {source.resolve(): (source, each) for source, each in found}
-        collection |= {source: named.name for source, _ in found}
+        collection = (path.resolve() if path.is_dir() else path.resolve().parent).name
+        sources |= {source.resolve(): (source, each, collection) for source, each in found}
     recordings = []
-    for done, (source, each) in enumerate(sources.values(), 1):
+    for done, (source, each, collection) in enumerate(sources.values(), 1):
         for recording in each.load(source):
             check(recording, source)
-            recordings.append(replace(recording, collection=collection[source]))
+            recordings.append(replace(recording, collection=collection))
         if progress:
             progress(done, len(sources))
     return _with_unique_names(recordings)

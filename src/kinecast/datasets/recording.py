@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import DatasetError
@@ -48,11 +48,6 @@ class Recording:
             raise DatasetError(where, f"rate {self.rate} Hz is outside (0, 10000]")
         if self.labels is not None and len(self.labels) != frames:
             raise DatasetError(where, f"{len(self.labels)} labels for {frames} frames")
-
-    @property
-    def valid(self) -> Bool[np.ndarray, "N J"]:
-        """(N, J) True where a joint was tracked."""
-        return np.isfinite(self.positions).all(axis=-1)
 
     @property
     def duration(self) -> float:
@@ -124,15 +119,12 @@ def describe(recording: Recording) -> Description:
 
 def differences(before: Sequence[Recording], after: Sequence[Recording]) -> list[str]:
     """What is not the same in recordings of different persons and those read back, in words; none if every bit is."""
-    found: list[str] = []
     back = {recording.person: recording for recording in after}
+    found = [f"person {recording.person}" for recording in before if recording.person not in back]
     for recording in before:
-        person = recording.person
-        if person in back:
-            lines = _between(recording, back.pop(person))
-            found += [f"{line} (person {person})" if len(before) > 1 else line for line in lines]
-        else:
-            found.append(f"person {person}")
+        if other := back.pop(recording.person, None):
+            where = f" (person {recording.person})" if len(before) > 1 else ""
+            found += [f"{line}{where}" for line in _between(recording, other)]
     return list(dict.fromkeys([*found, *(f"nothing, but person {person} is new" for person in back)]))
 
 

@@ -1,15 +1,19 @@
-"""Public recordings and models, downloaded: resumed where they broke off, checked, inside their folder."""
+"""Public recordings and pose models, downloaded: resumed where they broke off, checked, inside their folder."""
 
 from __future__ import annotations
 
 import hashlib
 import http.client
 import json
+import os
 import re
 import shutil
+import sys
 import time
 import urllib.error
 import urllib.request
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -27,6 +31,7 @@ ATTEMPTS = 5  # broken connections in a row without any progress before giving u
 LARGEST_LISTING = 10_000_000  # bytes
 MOST_FILES = 10_000
 CHUNK = 1 << 16
+FOLDER = "KINECAST_MODELS"  # environment variable that names another folder for models
 CHECKSUM = re.compile(r"(md5:[0-9a-f]{32}|sha256:[0-9a-f]{64})\Z")
 
 UNSAFE = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
@@ -43,7 +48,9 @@ class RemoteFile:
     url: str = ""  # empty: its name, under the address of its set
 
     def is_at(self, path: Path) -> bool:
-        """Whether the bytes at a path have its checksum."""
+        """Whether there is a file of its checksum at a path."""
+        if not path.is_file():
+            return False
         kind, _, expected = self.checksum.partition(":")
         with path.open("rb") as file:
             return hashlib.file_digest(file, kind).hexdigest() == expected
@@ -59,7 +66,7 @@ class PublicSet:
     home: str  # page to read first: licence and how to cite
     url: str  # its files stand under it; of its record where there is no list of files
     files: tuple[RemoteFile, ...] | None  # None for a Zenodo record, which lists its own
-    model: RemoteFile | None = None  # the network that is the file, or in it (model_cache); None of recordings
+    model: RemoteFile | None = None  # the network that is its file, or in it; None of recordings
 
 
 def public_sets() -> dict[str, PublicSet]:
@@ -71,6 +78,28 @@ def public_sets() -> dict[str, PublicSet]:
         listed = files and tuple(RemoteFile(**file) for file in files)
         sets[name] = PublicSet(name, **entry, files=listed, model=model and RemoteFile(**model))
     return sets
+
+
+def cache_folder() -> Path:
+    """Where models are kept: $KINECAST_MODELS, else the system's place for what programs fetch."""
+    if told := os.environ.get(FOLDER):
+        return Path(told)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "kinecast" / "models"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "kinecast" / "models"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kinecast" / "models"
+
+
+def cached_model(name: str) -> Path:
+    """The file of a model that was downloaded before; an OptionError with the command where it was not."""
+    models = {each.name: each.model for each in public_sets().values() if each.model}
+    if name not in models:
+        raise OptionError(f"no model {name!r}; there are {', '.join(models)}")
+    path = cache_folder() / models[name].name
+    if not path.is_file():
+        raise OptionError(f"the model {name} is not there ({path}); fetch it once with: kinecast download {name}")
+    return path
 
 
 def download(
@@ -92,25 +121,27 @@ def download(
         patience: seconds before a broken connection is tried again; doubles with each attempt.
 
     Returns:
-        The files, each with the right checksum.
+        The files, or of a model its file alone, taken out of its archive; each with the right checksum.
 
     Raises:
         OptionError: no such set.
-        DownloadError: no connection, a wrong checksum or name, too little space. Files that are complete
-            stay; an incomplete one never has its final name.
+        DownloadError: no connection, a wrong checksum or name, too little space, or an archive without the model. Files
+            that are complete stay; an incomplete one never has its final name.
     """
-    known = public_sets()
+    known, root = public_sets(), Path(folder)
     if name not in known:
         raise OptionError(f"no public set {name!r}; there are {', '.join(known)}")
-    address, listed = url or known[name].url, known[name].files
-    listed = _record(known[name], address) if listed is None else listed
+    public = known[name]
+    if public.model and public.model.is_at(root / public.model.name):
+        return [root / public.model.name]
+    address = url or public.url
+    listed = _record(public, address) if public.files is None else public.files
     base = address.removesuffix("/") + "/"
     remotes = [
         replace(file, url=file.url or base + quote(file.name)) for file in listed if fnmatchcase(file.name, only)
     ]
     if not remotes:
         raise DownloadError(f"{name}: no file matches {only!r}")
-    root = Path(folder)
     targets = [_target(root, remote.name) for remote in remotes]
     missing = sum(remote.size for remote, target in zip(remotes, targets, strict=True) if not target.exists())
     root.mkdir(parents=True, exist_ok=True)
@@ -127,6 +158,8 @@ def download(
         _fetch(remote, target, advance, patience)
         done += remote.size
         advance(0)
+    if public.model and public.model.name != targets[0].name:
+        return [_unpacked(targets[0], root / public.model.name, public.model, public.home)]
     return targets
 
 
@@ -179,12 +212,20 @@ def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], pat
     """One file: kept if whole, else gathered in a `.part` file also across runs, checked and moved into place."""
     # another version of the file waits under another name
     part = target.with_name(f"{target.name}.{remote.checksum.partition(':')[2][:8]}.part")
+    failures = most = 0
     try:
-        if target.exists() and remote.is_at(target):
+        if remote.is_at(target):
             return
         target.parent.mkdir(parents=True, exist_ok=True)
         part.touch()
-        _gather(remote, part, advance, patience)
+        while part.stat().st_size != remote.size:
+            problem, present = _gather(remote, part, advance), part.stat().st_size
+            failures, most = 1 if present > most else failures + 1, max(most, present)
+            if present != remote.size and failures >= ATTEMPTS:
+                kept = f"{present} of {remote.size} bytes are kept: the same command continues there."
+                raise DownloadError(f"{remote.name}: {problem} ({remote.url}). {kept}")
+            if present != remote.size:
+                time.sleep(patience * 2 ** (failures - 1))
         if not remote.is_at(part):
             part.unlink()
             problem = f"is not the file it should be (its checksum differs from {remote.checksum})"
@@ -199,53 +240,57 @@ def _fetch(remote: RemoteFile, target: Path, advance: Callable[[int], None], pat
             part.unlink()
 
 
-def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None], patience: float) -> None:
-    """Bytes appended to a file until all are there; gives up when connections break again and again."""
-    failures = most = 0
-    while part.stat().st_size != remote.size:
-        problem = "connection closed"
-        try:
-            _gather_once(remote, part, advance)
-        except DownloadError:
-            raise
-        except (OSError, HTTPException) as error:
-            problem = str(getattr(error, "reason", None) or error) or type(error).__name__
-        present = part.stat().st_size
-        failures, most = 1 if present > most else failures + 1, max(most, present)
-        if present != remote.size and failures >= ATTEMPTS:
-            kept = f"{present} of {remote.size} bytes are kept: the same command continues there."
-            raise DownloadError(f"{remote.name}: {problem} ({remote.url}). {kept}")
-        if present != remote.size:
-            time.sleep(patience * 2 ** (failures - 1))
-
-
-def _gather_once(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> None:
-    """One connection: append what is missing, from the start if the server cannot resume."""
+def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> str:
+    """Appends what is missing, from the start if the server cannot resume; says what ended the connection."""
     have = part.stat().st_size if part.stat().st_size <= remote.size else 0
     try:
-        response = _open(remote.url, {"Range": f"bytes={have}-"} if have else {})
+        with _open(remote.url, {"Range": f"bytes={have}-"} if have else {}) as response:
+            resumed = response.status == 206 and response.headers.get("Content-Range", "").startswith(f"bytes {have}-")
+            have = have if resumed else 0
+            with part.open("ab" if resumed else "wb") as file:
+                while have <= remote.size and (chunk := response.read(CHUNK)):
+                    have += len(chunk)
+                    file.write(chunk)
+                    advance(have)
     except urllib.error.HTTPError as error:
         with error:
             if error.code == 416:  # what is there does not fit the file: start again
                 part.write_bytes(b"")
-                return
-            if error.code < 500 and error.code != 429:
+            elif error.code < 500 and error.code != 429:
                 answer = f"{error.code} {error.reason} for {remote.url}"
                 raise DownloadError(f"{remote.name}: the server answers {answer}") from None
-            raise
-    with response:
-        resumed = response.status == 206 and response.headers.get("Content-Range", "").startswith(f"bytes {have}-")
-        if not resumed:
-            have = 0
-        with part.open("ab" if resumed else "wb") as file:
-            while have <= remote.size and (chunk := response.read(CHUNK)):
-                have += len(chunk)
-                file.write(chunk)
-                advance(have)
+            return str(error.reason)
+    except DownloadError:
+        raise
+    except (OSError, HTTPException) as error:
+        return str(getattr(error, "reason", None) or error) or type(error).__name__
     if have > remote.size:
         part.unlink()
         more = f"the server sends more than the file's {remote.size} bytes ({remote.url})"
         raise DownloadError(f"{remote.name}: {more}; nothing of it is kept")
+    return "connection closed"
+
+
+def _unpacked(archive: Path, path: Path, model: RemoteFile, home: str) -> Path:
+    """The path, once it is the one entry of an archive whose size and ending are the model's; the archive goes."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            entries = [each for each in opened.infolist() if each.filename.endswith(path.suffix)]
+            found = [each for each in entries if each.file_size == model.size]
+            if len(found) != 1:
+                raise ValueError(f"holds {len(found)} files *{path.suffix} of {model.size} bytes, expected one")
+            with opened.open(found[0]) as content, part.open("wb") as file:
+                shutil.copyfileobj(content, file)
+        if not model.is_at(part):
+            raise ValueError(f"what it holds is not {model.name}: its checksum differs from {model.checksum}")
+        part.replace(path)
+    except (OSError, ValueError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
+        raise DownloadError(f"{archive.name}: {error} ({home})") from None
+    finally:
+        part.unlink(missing_ok=True)
+    archive.unlink()
+    return path
 
 
 def _open(url: str, headers: dict[str, str]) -> http.client.HTTPResponse:

@@ -53,30 +53,26 @@ def resample(recording: Recording, rate: float) -> Recording:
     stamps = recording.stamps[0] + np.arange(count) / rate
     if count == len(recording.stamps) and np.abs(stamps - recording.stamps).max() < 1e-6:
         return replace(recording, rate=rate)
+    left, right, share = _neighbours(recording.stamps, stamps)
+    positions = recording.positions[left] * (1.0 - share[:, None, None])
+    positions += share[:, None, None] * recording.positions[right]
+    apart = recording.stamps[right] - recording.stamps[left] > 1.5 / source_rate
+    positions[apart[:, None] | ~np.isfinite(positions).all(axis=-1)] = np.nan
     return replace(
         recording,
         stamps=stamps,
-        positions=_interpolated(recording, stamps, 1.5 / source_rate),
+        positions=positions,
         rate=rate,
-        labels=recording.labels and tuple(recording.labels[i] for i in _nearest(recording.stamps, stamps)),
+        labels=recording.labels and tuple(recording.labels[i] for i in np.where(share > 0.5, right, left)),
         notes=(*recording.notes, f"resampled from {source_rate:.4g} to {rate:g} Hz"),
     )
 
 
-def _interpolated(recording: Recording, wanted: Wanted, longest_step: float) -> Float[np.ndarray, "K J 3"]:
-    stamps = recording.stamps
+def _neighbours(
+    stamps: Stamps, wanted: Wanted
+) -> tuple[Int[np.ndarray, " K"], Int[np.ndarray, " K"], Float[np.ndarray, " K"]]:
+    """Frames before and after each wanted stamp, or twice the one at it, and how far it is from the first, 0..1."""
     right = np.minimum(np.searchsorted(stamps, wanted - SAME), len(stamps) - 1)
     left = np.where(np.abs(stamps[right] - wanted) <= SAME, right, np.maximum(right - 1, 0))
     step = stamps[right] - stamps[left]
-    share = ((wanted - stamps[left]) / np.where(step > 0, step, 1.0) * (step > 0))[:, None, None]
-    positions = recording.positions[left] * (1.0 - share)
-    positions += share * recording.positions[right]
-    positions[(step > longest_step)[:, None] | ~np.isfinite(positions).all(axis=-1)] = np.nan
-    return positions
-
-
-def _nearest(stamps: Stamps, wanted: Wanted) -> Int[np.ndarray, " K"]:
-    """Index of the stamp nearest to each wanted one."""
-    right = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1)
-    left_is_nearer = wanted - stamps[right - 1] <= stamps[right] - wanted
-    return np.where(left_is_nearer, right - 1, right)
+    return left, right, (wanted - stamps[left]) / np.where(step > 0, step, 1.0) * (step > 0)

@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int8
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.body.torso_frame import torso_frame
-from kinecast.body.tracking import Flaw
+from kinecast.body.tracking import Flaw, fill, find_flaws
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.repair import RepairReport, repair
+from kinecast.datasets.repair import MAX_GAP
 from kinecast.datasets.resampling import measured_rate
 
 BONES = {
@@ -26,6 +27,7 @@ BONES = {
 } | {"shoulder_width": ("left_shoulder", "right_shoulder")}
 """Bones whose lengths are reported, as pairs of joints."""
 
+Flags: TypeAlias = Bool[np.ndarray, " N"]
 SPEED_JOINTS = tuple(joint for joint in ARM_JOINTS if "shoulder" not in joint)
 
 
@@ -101,23 +103,24 @@ class Summary:
 
 def summarise(recording: Recording) -> Summary:
     """Everything about a recording that a summary holds."""
-    repaired, report = repair(recording)
-    outside_range, too_fast = _outside_limits(repaired)
+    flaws = find_flaws(recording.positions, recording.stamps)
+    filled, interpolated = fill(recording.positions, recording.stamps, flaws, MAX_GAP)
+    columns, sound = {name: column for column, name in enumerate(recording.joints)}, flaws == Flaw.NONE
+    outside_range, too_fast = _outside_limits(replace(recording, positions=filled))
     return Summary(
         recording,
         measured_rate=measured_rate(recording.stamps),
         longest_step=float(np.diff(recording.stamps).max(initial=0.0)),
-        repeated_frames=int(np.count_nonzero((report.flaws == Flaw.REPEATED).any(axis=1))),
-        joints={name: _joint(recording, report, column) for column, name in enumerate(recording.joints)},
+        repeated_frames=int(np.count_nonzero((flaws == Flaw.REPEATED).any(axis=1))),
+        joints={name: _joint(recording, flaws[:, k], interpolated[:, k]) for name, k in columns.items()},
         bones={name: _bone(recording.joint(a) - recording.joint(b)) for name, (a, b) in BONES.items()},
-        speeds={name: _speed(recording, report, name) for name in SPEED_JOINTS if name in recording.joints},
+        speeds={name: _speed(recording, name, sound[:, columns[name]]) for name in SPEED_JOINTS if name in columns},
         outside_range=outside_range,
         too_fast=too_fast,
     )
 
 
-def _joint(recording: Recording, report: RepairReport, column: int) -> dict[str, float]:
-    flaws, interpolated = report.flaws[:, column], report.interpolated[:, column]
+def _joint(recording: Recording, flaws: Int8[np.ndarray, " N"], interpolated: Flags) -> dict[str, float]:
     gaps, stamps = runs(flaws == Flaw.MISSING), recording.stamps
     lengths = [float(stamps[end - 1] - stamps[first]) + 1.0 / recording.rate for first, end in gaps]
     return {
@@ -130,7 +133,7 @@ def _joint(recording: Recording, report: RepairReport, column: int) -> dict[str,
     }
 
 
-def runs(flags: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
+def runs(flags: Flags) -> list[tuple[int, int]]:
     """First and one past the last index of every run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
@@ -143,8 +146,7 @@ def _bone(offsets: Float[np.ndarray, "N 3"]) -> dict[str, float]:
     return {"median": median, "variation": 0.5 * (high - low) / median if median > 0 else np.nan}
 
 
-def _speed(recording: Recording, report: RepairReport, name: str) -> dict[str, float]:
-    sound = report.flaws[:, recording.joints.index(name)] == Flaw.NONE
+def _speed(recording: Recording, name: str, sound: Flags) -> dict[str, float]:
     steps = np.linalg.norm(np.diff(recording.joint(name), axis=0), axis=-1) / np.diff(recording.stamps)
     steps = steps[sound[1:] & sound[:-1]]
     speeds = np.percentile(steps, [50, 99, 100]).tolist() if len(steps) else (np.nan,) * 3

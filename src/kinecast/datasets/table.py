@@ -6,8 +6,7 @@ import csv
 import io
 import json
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from io import BufferedWriter
 from operator import itemgetter
@@ -202,8 +201,13 @@ def write_rows(path: Path, rows: Rows) -> None:
     if path.suffix not in (".parquet", ".csv"):
         raise OptionError(f"a table is written as .parquet or .csv, not {path.name!r}")
     require_extra(path)
-    with _whole(path) as file:
-        (_write_csv if path.suffix == ".csv" else _write_parquet)(file, columns, metadata)
+    try:
+        with draft(path.parent, path.name) as folder:
+            with (folder / "part").open("wb") as file:
+                (_write_csv if path.suffix == ".csv" else _write_parquet)(file, columns, metadata)
+            (folder / "part").replace(path)
+    except OSError as error:
+        raise DatasetError(path, f"cannot be written: {error}") from error
 
 
 def require_extra(path: Path) -> None:
@@ -219,19 +223,6 @@ def _pyarrow() -> ModuleType:
     except ModuleNotFoundError as error:
         raise MissingExtraError("parquet", "parquet") from error
     return pyarrow
-
-
-@contextmanager
-def _whole(path: Path) -> Iterator[BufferedWriter]:
-    """A new file beside `path` that takes its place when all is written, and goes when it is not."""
-    try:
-        with draft(path.parent, path.name) as folder:
-            partial = folder / "part"
-            with partial.open("wb") as file:
-                yield file
-            partial.replace(path)
-    except OSError as error:
-        raise DatasetError(path, f"cannot be written: {error}") from error
 
 
 def read_rows(path: Path) -> Rows:
@@ -261,15 +252,15 @@ def read_rows(path: Path) -> Rows:
     )
 
 
-def _require_columns(names: Sequence[str], path: Path) -> None:
-    """Check that each column is there, and once."""
+def _check_columns(names: Sequence[str], path: Path) -> None:
+    """Each column is there, and once."""
     if missing := [name for name in _REQUIRED if name not in names]:
         raise DatasetError(path, f"no column {', '.join(missing)}; a table has {', '.join(_REQUIRED)}")
     if repeated := {name for name in names if names.count(name) > 1}:
         raise DatasetError(path, f"two columns {min(repeated)!r}")
 
 
-def _require_few(rows: int, path: Path) -> None:
+def _check_length(rows: int, path: Path) -> None:
     if rows > MOST_POINTS:
         raise DatasetError(path, f"{rows} rows, at most {MOST_POINTS} are allowed")
 
@@ -290,8 +281,8 @@ def _read_parquet(path: Path) -> tuple[dict[str, Any], bytes | None]:
     pa = _pyarrow()
     try:
         file = pa.parquet.ParquetFile(pa.BufferReader(read_bytes(path)))
-        _require_few(file.metadata.num_rows, path)
-        _require_columns(file.schema_arrow.names, path)
+        _check_length(file.metadata.num_rows, path)
+        _check_columns(file.schema_arrow.names, path)
         table = file.read(columns=[name for name in (*_NUMBERS, *_WORDS) if name in file.schema_arrow.names])
         table.validate(full=True)  # a damaged file may hold codes of words that are not there
         columns: dict[str, Any] = {}
@@ -340,7 +331,7 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
     reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", newline=""), strict=True)
     try:
         names = next(reader, [])
-        _require_columns(names, path)
+        _check_columns(names, path)
         number_names = [name for name in _NUMBERS if name in names]
         number_cells = itemgetter(*map(names.index, number_names))
         what = [f"damaged table: {name}" for name in number_names]
@@ -359,7 +350,7 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
             rows += 1
     except (csv.Error, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}, line {reader.line_num + before}", f"damaged table: {error}") from error
-    _require_few(rows, path)
+    _check_length(rows, path)
     columns: dict[str, Any] = dict(zip(number_names, np.array(values).reshape(rows, len(number_names)).T, strict=True))
     columns |= {name: Words(tuple(known), np.array(codes, np.int32)) for name, (_, known, codes) in words.items()}
     return columns, metadata

@@ -37,7 +37,7 @@ class WindowOptions:
     """Only windows in which every arm joint is there in every frame, before and after. Otherwise gaps in what is
     observed are repaired, and in what came next they are NaN."""
     mend_future: bool = False
-    """What came next is repaired with hindsight, for training; scores need what was measured."""
+    """What came next is repaired with hindsight, and all there, for training; scores need what was measured."""
 
     def __post_init__(self) -> None:
         check_rate(self.rate)
@@ -59,17 +59,22 @@ class WindowOptions:
         """T, frames to be predicted."""
         return round(self.horizon * self.rate)
 
+    @property
+    def ahead(self) -> Int[np.ndarray, " T"]:
+        """(T,) frames from the last observed one to each predicted one: 1, 2, …, T."""
+        return np.arange(1, self.predicted_steps + 1)
+
 
 @dataclass(frozen=True)
 class Windows:
     """W windows of one recording."""
 
     name: str
-    rate: float  # frames per second [Hz]
+    options: WindowOptions
     arms: Float[np.ndarray, "W N 6 3"]
     """Observed arm joints [m], repaired; finite."""
-    future: Float[np.ndarray, "W T 6 3"]
-    """Arm joints after it [m]; NaN where not measured."""
+    track: Float[np.ndarray, "F 6 3"]
+    """Arm joints of all frames [m], where what came next is read; NaN where not measured."""
     stamps: Float[np.ndarray, " W"]
     """Times of the last observed frames [s]."""
     frames: Int[np.ndarray, " W"]
@@ -78,51 +83,51 @@ class Windows:
     """Direction up the torso at them."""
     touched: Bool[np.ndarray, "W N 6"]
     """True where an observed value was repaired."""
-    lost: int  # windows left out because an arm joint was lost in what is observed
-    not_whole: int  # windows left out because an arm joint was not measured throughout
+    left_out: int  # windows in which an arm joint was lost or not measured
 
     def __len__(self) -> int:
         return len(self.stamps)
 
+    @property
+    def future(self) -> Float[np.ndarray, "W T 6 3"]:
+        """(W, T, 6, 3) arm joints after each window [m]; NaN where not measured."""
+        return self.track[self.frames[:, None] + self.options.ahead]
 
-def windows(recording: Recording, options: WindowOptions, truth: Recording | None = None) -> Windows:
-    """Every window of one recording, in order of time; none where it is too short or never has the label.
 
-    The recording is on uniform stamps at `options.rate` (`kinecast.datasets.resampling.resample`); `truth`, on the same
-    stamps, is where what came next is read from, the recording itself if None.
+def windows(recording: Recording, options: WindowOptions) -> Windows:
+    """Every window of one recording, resampled; in order of time, none where it is too short or never has the label.
 
     Raises:
-        DatasetError: stamps not uniform at `options.rate`, or no arms.
+        DatasetError: no arms, or a recording that cannot be resampled.
     """
-    where = recording.source or recording.name
-    require_arms(recording.joints, where)
-    if np.any(np.abs(np.diff(recording.stamps) * options.rate - 1) > 0.01):
-        raise DatasetError(where, f"stamps are not uniform at {options.rate:g} Hz: resample first")
-    n, steps = options.observed_steps, options.predicted_steps
-    last = np.arange(n - 1, len(recording.stamps) - steps, options.stride)
+    require_arms(recording.joints, recording.source or recording.name)
+    seen = resample(recording, options.rate)
+    arms, n = seen.arms, options.observed_steps
+    track = resample(repair(recording), options.rate).arms if options.mend_future else arms
+    last = np.arange(n - 1, len(arms) - options.predicted_steps, options.stride)
     if options.label is not None:
-        labels = recording.labels or ("",) * len(recording.stamps)
-        last = np.array([i for i in last if labels[i] == options.label], dtype=int)
-    before, after = last[:, None] + np.arange(1 - n, 1), last[:, None] + np.arange(1, steps + 1)
-    seen = recording.arms[before]
-    future = (truth or recording).arms[after]
-    repaired = repair_windows(seen, recording.stamps[before])
-    lost = (repaired.trouble & Trouble.LOST).any(axis=1)
-    ahead = np.isfinite(future)
-    measured = ahead.all(axis=(1, 2, 3)) & np.isfinite(seen).all(axis=(1, 2, 3))
-    keep = ~lost & (measured if options.whole else ahead.any(axis=(1, 2, 3)))
-    last = last[keep]
+        last = last[np.array(seen.labels or ("",) * len(arms))[last] == options.label]
+    before, after = last[:, None] + np.arange(1 - n, 1), last[:, None] + options.ahead
+    repaired = repair_windows(arms[before], seen.stamps[before])
+    keep = ~(repaired.trouble & Trouble.LOST).any(axis=1)
+    measured = np.isfinite(track)
+    if options.whole or options.mend_future:
+        keep &= measured.all(axis=(1, 2))[after].all(axis=1)
+    else:
+        keep &= measured.any(axis=(1, 2))[after].any(axis=1)
+    if options.whole:
+        keep &= np.isfinite(arms).all(axis=(1, 2))[before].all(axis=1)
+    last, positions = last[keep], repaired.positions[keep]
     return Windows(
         name=recording.name,
-        rate=options.rate,
-        arms=repaired.positions[keep],
-        future=future[keep],
-        stamps=recording.stamps[last],
+        options=options,
+        arms=positions,
+        track=track,
+        stamps=seen.stamps[last],
         frames=last,
-        up=_up(recording, last, repaired.positions[keep, -1]),
+        up=_up(seen, last, positions[:, -1]),
         touched=repaired.touched[keep],
-        lost=int(np.count_nonzero(lost)),
-        not_whole=int(np.count_nonzero(~keep & ~lost)),
+        left_out=int(np.count_nonzero(~keep)),
     )
 
 
@@ -142,7 +147,7 @@ def all_windows(
     """
     recordings = list(recordings)
     workers = workers or Serial()
-    tasks = [workers.submit(_resampled_windows, recording, options) for recording in recordings]
+    tasks = [workers.submit(windows, recording, options) for recording in recordings]
     found = [cut for cut in workers.results(tasks, progress) if len(cut)]
     labels = {label for recording in recordings for label in recording.labels or ()}
     if options.label is not None and options.label not in labels:
@@ -154,11 +159,6 @@ def all_windows(
         problem = f"no window of {options.window + options.horizon:g} s {tracked}"
         raise DatasetError(", ".join(places) or "recordings", problem)
     return found
-
-
-def _resampled_windows(recording: Recording, options: WindowOptions) -> Windows:
-    truth = resample(repair(recording)[0], options.rate) if options.mend_future else None
-    return windows(resample(recording, options.rate), options, truth)
 
 
 def _up(recording: Recording, frames: Int[np.ndarray, " W"], arms: Float[np.ndarray, "W 6 3"]) -> np.ndarray:

@@ -60,16 +60,16 @@ class Moment:
         observed: (N, 6, 3) arm joints over the window [m]; the last frame is now.
         samples: (S, T, 6, 3) predicted motions [m].
         mean: (T, 6, 3) their mean [m].
+        truth: (T, 6, 3) what happened [m], NaN where unknown.
         dt: time between steps [s].
-        truth: (T, 6, 3) what happened [m], NaN where unknown; None if nothing is known.
         stamp: time now on the clock of moving obstacles [s].
     """
 
     observed: Float[np.ndarray, "N 6 3"]
     samples: Float[np.ndarray, "S T 6 3"]
     mean: Float[np.ndarray, "T 6 3"]
+    truth: Float[np.ndarray, "T 6 3"]
     dt: float
-    truth: Float[np.ndarray, "T 6 3"] | None = None
     stamp: float = 0.0
 
     @property
@@ -93,11 +93,9 @@ class Moment:
     @cached_property
     def around(self) -> Float[np.ndarray, "K 3"]:
         """(K, 3) what a picture must hold [m]: poses seen, predicted and true, the head, most samples."""
-        parts = [self.observed, self.mean, self.now[list(SHOULDERS)] + TALL * UP]
+        parts = [self.observed, self.mean, self.truth, self.now[list(SHOULDERS)] + TALL * UP]
         if len(self.samples):
             parts.append(np.quantile(self.samples, (0.1, 0.9), axis=0))
-        if self.truth is not None:
-            parts.append(self.truth)
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
         return np.asarray(points[np.isfinite(points).all(axis=-1)])
 
@@ -137,7 +135,7 @@ def draw_prediction(path: Path, moment: Moment, scene: Scene | None = None, titl
         above.invert_yaxis()  # the person faces the reader here as in the view from the front
 
         _draw_title(figure, title, 13.0)
-        _legend(figure, moment, scene, 0.225)
+        _legend(figure, scene, 0.225)
         _draw_time_bar(figure, (0.03, 0.075, 0.15, 0.016), moment.horizon)
     save_figure(figure, path)
 
@@ -163,7 +161,7 @@ def animate_predictions(path: Path, moments: Sequence[Moment], scene: Scene | No
             figure.text(0.97, 0.955, f"{moment.stamp:.2f} s", ha="right", va="center", fontsize=9.5)
             _draw_moment(axes, camera, moment, scene, scale=0.8, most=60)
             _fit([axes], [camera], around)
-            _legend(figure, moment, scene, 0.36)
+            _legend(figure, scene, 0.36)
             _draw_time_bar(figure, (0.05, 0.075, 0.22, 0.018), moment.horizon)
             yield figure
 
@@ -244,8 +242,7 @@ def _draw_moment(
         _arms(axes, camera, pose, MUTED, 2.0 * scale, alpha=0.45 * 0.75**age)
     _samples(axes, camera, moment, scale, most)
     _mean(axes, camera, moment, scale)
-    if moment.truth is not None:
-        _truth(axes, camera, moment, moment.truth, scale)
+    _truth(axes, camera, moment, scale)
     _arms(axes, camera, moment.now, INK, 4.5 * scale, halo=True, joints=True)
 
 
@@ -290,13 +287,13 @@ def _mean(axes: Axes, camera: Camera, moment: Moment, scale: float) -> None:
     _arms(axes, camera, moment.mean[-1], AHEAD(1.0), 3.0 * scale, halo=True, zorder=5)
 
 
-def _truth(axes: Axes, camera: Camera, moment: Moment, truth: Float[np.ndarray, "T 6 3"], scale: float) -> None:
+def _truth(axes: Axes, camera: Camera, moment: Moment, scale: float) -> None:
     """Wrist paths that came, and the arms at their end."""
     for wrist in WRISTS:
-        path = camera.page(_from_now(moment, truth, wrist))
+        path = camera.page(_from_now(moment, moment.truth, wrist))
         axes.plot(*path.T, color="white", lw=3.8 * scale, zorder=6)
         axes.plot(*path.T, color=TRUTH, lw=1.8 * scale, zorder=6)
-    _arms(axes, camera, truth[-1], TRUTH, 2.4 * scale, zorder=6, halo=True)
+    _arms(axes, camera, moment.truth[-1], TRUTH, 2.4 * scale, zorder=6, halo=True)
 
 
 def _arms(
@@ -347,16 +344,15 @@ def _from_now(moment: Moment, motion: Float[np.ndarray, "*S T 6 3"], joint: int)
     return np.concatenate([start, path], axis=-2)
 
 
-def _legend(figure: Figure, moment: Moment, scene: Scene | None, left: float) -> None:
+def _legend(figure: Figure, scene: Scene | None, left: float) -> None:
     """Names for what is drawn, at the foot, from `left` on."""
     handles = [
         Line2D([], [], color=INK, lw=4, label="now"),
         Line2D([], [], color=MUTED, lw=2, alpha=0.7, label="before"),
         Line2D([], [], color=BLUE, lw=1, alpha=0.7, label="samples"),
         Line2D([], [], color=AHEAD(1.0), lw=3, label="mean"),
+        Line2D([], [], color=TRUTH, lw=2.4, label="what happened"),
     ]
-    if moment.truth is not None:
-        handles.append(Line2D([], [], color=TRUTH, lw=2.4, label="what happened"))
     if scene is not None and scene.obstacles:
         handles.append(Line2D([], [], color=OBSTACLE, lw=7, label="obstacle"))
     figure.legend(

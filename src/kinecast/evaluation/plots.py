@@ -92,33 +92,27 @@ def method_style(name: str) -> MethodStyle:
 
 
 def plot_over_horizon(
-    values: Mapping[str, Sequence[float | None]], horizon: float | None, title: str, should_be: float | None = None
+    values: Mapping[str, Sequence[float | None]], horizon: float, title: str, should_be: float | None = None
 ) -> Figure:
-    """A line per method over the time ahead, None where unknown, and one where the values should be.
-
-    Without the horizon [s] the axis counts steps.
-    """
+    """A line per method over the time ahead up to the horizon [s], None where unknown; one where values should be."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         axes = figure.subplots()
         for name, heights in values.items():
-            ahead = np.arange(1, len(heights) + 1) * (1.0 if horizon is None else horizon / len(heights))
-            _line(axes, name, ahead, _floats(heights))
+            _line(axes, name, np.arange(1, len(heights) + 1) * horizon / len(heights), _floats(heights))
         if should_be is None:
             axes.set_ylim(bottom=0)
         else:
             axes.axhline(should_be, color=MUTED, lw=1, zorder=0)
         axes.set_xlim(left=0)
         axes.set_title(title)
-        axes.set_xlabel("steps ahead" if horizon is None else "time ahead [s]")
+        axes.set_xlabel("time ahead [s]")
         axes.grid(axis="y")
         _legend(axes)
     return figure
 
 
-def plot_nll_histograms(
-    nll: Mapping[str, Float[np.ndarray, "..."]], stderr: Mapping[str, float | None] | None = None
-) -> Figure:
+def plot_nll_histograms(nll: Mapping[str, Float[np.ndarray, "..."]], stderr: Mapping[str, float | None]) -> Figure:
     """Negative log likelihood by method: mean with standard error, and the histogram around that mean.
 
     Methods differ by far more than repeats of one method do, so each histogram is drawn around its own
@@ -126,7 +120,7 @@ def plot_nll_histograms(
 
     Args:
         nll: by method, the values whose spread is to be shown: one per repeat, or per window.
-        stderr: standard error of the mean, by method; without it that of the values.
+        stderr: standard error of the mean, by method; where it is unknown that of the values.
     """
     rows = {name: values[np.isfinite(values)] for name, values in nll.items()}
     rows = {name: values for name, values in rows.items() if len(values)}
@@ -138,7 +132,7 @@ def plot_nll_histograms(
         left.grid(axis="x")
         for row, (name, values) in enumerate(rows.items()):
             style = method_style(name)
-            error = (stderr or {}).get(name)
+            error = stderr.get(name)
             if error is None or not np.isfinite(error):
                 error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
             mean = float(values.mean())

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from kinecast.errors import MissingExtraError, OptionError
+from kinecast.errors import MissingExtraError
 from kinecast.evaluation.metrics import LEVELS, WRISTS
 from kinecast.evaluation.pictures import Moment, animate_predictions, draw_prediction
 from kinecast.evaluation.plots import (
@@ -40,7 +40,7 @@ from kinecast.evaluation.plots import (
     plot_over_horizon,
     plot_violations,
 )
-from kinecast.evaluation.scoring import LIMITS, EvaluationOptions, TestRecording, evaluate
+from kinecast.evaluation.scoring import LIMITS, REPEATED, EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
 from kinecast.output import all_or_none, write_atomically
 from kinecast.prediction.method import Method, forecast_in_scene
@@ -55,8 +55,6 @@ Metrics = Mapping[str, Any]
 
 FILM = 0.75
 """The film begins so long before the moment drawn, and ends so long after it [s]."""
-
-PICTURES = {".png": "image/png", ".gif": "image/gif"}
 
 
 def run_evaluation(
@@ -80,16 +78,8 @@ def run_evaluation(
         What metrics.json holds.
     """
     results, histograms = evaluate(methods, recordings, scene, options, progress, workers)
-    metrics: dict[str, Any] = {
-        "settings": {
-            **settings,
-            "samples": options.samples,
-            "repeats": options.repeats,
-            "repeat_windows": options.repeat_windows,
-            "seed": options.seed,
-        },
-        **results,
-    }
+    drawn = {"samples": options.samples, "repeats": options.repeats, "repeat_windows": REPEATED, "seed": options.seed}
+    metrics: dict[str, Any] = {"settings": {**settings, **drawn}, **results}
     name, method = list(methods.items())[-1]
     recording, frame = _busiest(recordings)
     moments = _moments(recording, frame, method, scene, options)
@@ -130,7 +120,7 @@ def _moments(
         rng = np.random.default_rng(options.seed)  # the same draws in each, so that the samples move smoothly
         forecast = forecast_in_scene(method, state, seen, rng, options.samples, scene)
         truth = np.stack([measured_at.get(frame + k, unknown) for k in range(1, method.steps + 1)])
-        moments[frame] = Moment(seen.positions, forecast.samples, forecast.mean, seen.dt, truth, seen.stamp)
+        moments[frame] = Moment(seen.positions, forecast.samples, forecast.mean, truth, seen.dt, seen.stamp)
     return moments
 
 
@@ -146,13 +136,12 @@ def write_report(
         metrics: as in metrics.json; any number may be None.
         histograms: NLL per repeat or window, by method.
         folder: for the page; made where missing.
-        pictures: PNG and GIF files to show, inlined; their names are the captions.
+        pictures: PNG and GIF files to show, inlined; their names are the captions and their endings say which.
 
     Returns:
         The page's path.
 
     Raises:
-        OptionError: a picture that is neither PNG nor GIF.
         OSError: a picture cannot be read or the page not written; then there is no page.
     """
     methods, first = metrics["methods"], next(iter(metrics["methods"].values()))
@@ -181,10 +170,8 @@ def write_report(
 
 def _inlined(path: Path) -> tuple[str, str]:
     """A picture's caption and content."""
-    kind = PICTURES.get(path.suffix.lower())
-    if kind is None:
-        raise OptionError(f"picture {path.name}: found {path.suffix or 'no ending'}, expected .png or .gif")
-    return path.stem.replace("_", " "), f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+    content = base64.b64encode(path.read_bytes()).decode("ascii")
+    return path.stem.replace("_", " "), f"data:image/{path.suffix.removeprefix('.')};base64,{content}"
 
 
 def _charts(metrics: Metrics, histograms: Mapping[str, Float[np.ndarray, "..."]]) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
-from kinecast.datasets.windows import Windows
+from kinecast.datasets.recording import Recording
+from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.metrics import (
     LEVELS,
     WRISTS,
@@ -26,7 +28,7 @@ from kinecast.evaluation.metrics import (
     scored,
 )
 from kinecast.geometry.scene import Scene
-from kinecast.pipeline import followed, observations
+from kinecast.pipeline import every_frame, followed
 from kinecast.prediction.method import Forecast, Method, forecast_in_scene
 from kinecast.prediction.observation import Observation
 from kinecast.tasks import Progress, Serial, Workers, generator, scatter
@@ -39,6 +41,9 @@ LIMITS = ("position", "speed", "scene")
 Scores = dict[str, Any]
 """Of one window, by name."""
 
+REPEATED = 60
+"""Windows, evenly spread over all, whose NLL is taken again and again."""
+
 BOOTSTRAP_BLOCK = 5.0
 """Windows within this time of one another [s] are drawn together for standard errors."""
 
@@ -49,26 +54,35 @@ class TestRecording:
 
     Attributes:
         name: of the recording.
-        observations: W windows as a predictor sees them online.
-        future: (W, T, 6, 3) what was measured next [m], NaN where it was not.
+        future: (W, T, 6, 3) what was measured after each window [m], NaN where it was not.
         frames: (W,) index of each window's last frame.
         history: every frame from the first full window on, those to be scored among them: its index, the window that
             ends with it, and (6, 3) what was measured [m], NaN where it was not.
+        left_out: windows in which an arm joint was lost or not measured.
     """
 
     __test__ = False  # not a pytest class
 
     name: str
-    observations: Sequence[Observation]
     future: Float[np.ndarray, "W T 6 3"]
     frames: Int[np.ndarray, " W"]
     history: Sequence[tuple[int, Observation, Float[np.ndarray, "6 3"]]]
+    left_out: int = 0
 
     @classmethod
-    def of(cls, parts: Sequence[Windows], histories: Sequence[Windows]) -> list[TestRecording]:
-        """Recordings from their test windows and, by name, those that end with each frame (`pipeline.every_frame`)."""
-        every = {history.name: history for history in histories}
-        return [cls(p.name, observations(p), p.future, p.frames, followed(every[p.name])) for p in parts]
+    def of(
+        cls, recordings: Sequence[Recording], options: WindowOptions, workers: Workers | None = None
+    ) -> list[TestRecording]:
+        """Recordings cut into windows; those without one are passed over. Raises as `all_windows`."""
+        parts = all_windows(recordings, options, workers=workers)
+        every = {each.name: followed(each) for each in all_windows(recordings, every_frame(options), workers=workers)}
+        return [cls(part.name, part.future, part.frames, every[part.name], part.left_out) for part in parts]
+
+    @cached_property
+    def observations(self) -> list[Observation]:
+        """W windows as a predictor sees them online."""
+        seen = {frame: observation for frame, observation, _ in self.history}
+        return [seen[frame] for frame in self.frames.tolist()]
 
 
 @dataclass(frozen=True)
@@ -77,15 +91,13 @@ class EvaluationOptions:
 
     Attributes:
         samples: S, motions drawn per window.
-        repeats: how often the NLL is taken again with fresh random draws, for its histogram.
-        repeat_windows: windows, evenly spread over all, on which it is.
+        repeats: how often the NLL of `REPEATED` windows is taken again with fresh random draws, for its histogram.
         seed: of the draws and of the bootstrap.
         limits: against which samples and truth are counted, whatever a method holds itself to.
     """
 
     samples: int = 1000
     repeats: int = 25
-    repeat_windows: int = 60
     seed: int = 0
     limits: JointLimits = field(default_factory=JointLimits)
 
@@ -218,7 +230,7 @@ def score_recording(
 
 def _repeated(owner: Int[np.ndarray, " W"], recordings: int, options: EvaluationOptions) -> list[frozenset[int]]:
     """Per recording, rows of the windows whose NLL is taken again."""
-    count = min(options.repeat_windows, len(owner)) if options.repeats else 0
+    count = min(REPEATED, len(owner)) if options.repeats else 0
     again = np.linspace(0, len(owner) - 1, count).astype(int)
     first = np.searchsorted(owner, np.arange(recordings))
     return [frozenset((again[owner[again] == k] - start).tolist()) for k, start in enumerate(first.tolist())]

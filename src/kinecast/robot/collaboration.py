@@ -114,7 +114,7 @@ def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
     Raises:
         OptionError: the shoulders are never seen.
     """
-    recording, _ = repair(recording)
+    recording = repair(recording)
     left, right = recording.joint("left_shoulder"), recording.joint("right_shoulder")
     seen = np.isfinite(left + right).all(axis=1)
     if not seen.any():

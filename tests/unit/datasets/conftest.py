@@ -67,10 +67,7 @@ def write_ha4m(motion: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
     """write_ha4m(folder, frames) → a raw HA4M clip of one camera; returns its positions in world axes [m]."""
 
     def make(
-        folder: Path,
-        frames: Sequence[int] = range(10, 18),
-        bodies: Sequence[int] = (1,),
-        camera: str = "Camera0",
+        folder: Path, frames: Sequence[int] = range(10, 18), bodies: Sequence[int] = (1,), camera: str = "Camera0"
     ) -> np.ndarray:
         positions = motion(AZURE_KINECT_32.joints, len(frames))
         place = folder / "Skeletons" / camera
@@ -80,20 +77,7 @@ def write_ha4m(motion: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
             for body in bodies:
                 for joint, (x, y, z) in enumerate(frame + 0.5 * (body - bodies[0])):
                     camera_axes = [f"{value * 1000.0:.4f}" for value in (x, -z, y)]
-                    cells = [
-                        str(body),
-                        str(joint),
-                        "2",
-                        *camera_axes,
-                        "1",
-                        "0",
-                        "0",
-                        "0",
-                        "10",
-                        "20",
-                        "30",
-                        "40",
-                    ]
+                    cells = [str(body), str(joint), "2", *camera_axes, "1", "0", "0", "0", "10", "20", "30", "40"]
                     lines.append("\t".join(cells))
             (place / f"FrameID{number}_{number * 33333}.txt").write_text("\n".join(lines) + "\n")
         return positions

@@ -47,11 +47,7 @@ def files(
     for segment, points in zip(KTH_13.aliases, motion(KTH_13.joints, 8).transpose(1, 0, 2), strict=True):
         file = tmp_path / "handover" / f"giver_{segment}_pose_saved.csv"
         np.savetxt(
-            file,
-            np.column_stack([points, np.ones((8, 4))]),
-            delimiter=",",
-            header="x,y,z,q0,q1,q2,q3",
-            comments="",
+            file, np.column_stack([points, np.ones((8, 4))]), delimiter=",", header="x,y,z,q0,q1,q2,q3", comments=""
         )
     arms = "".join(
         f"JOINT {side}{part}\n{{\nOFFSET 0 -30 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n{end}"

@@ -22,8 +22,7 @@ def written(path: Path, content: bytes) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "pack"),
-    [("a.txt", bytes), ("a.txt.gz", gzip.compress), ("a.txt.xz", lzma.compress), ("a", lzma.compress)],
+    ("name", "pack"), [("a.txt", bytes), ("a.txt.gz", gzip.compress), ("a.txt.xz", lzma.compress), ("a", lzma.compress)]
 )
 def test_content_is_the_same_through_any_compression(tmp_path: Path, name: str, pack: type) -> None:
     path = written(tmp_path / name, pack(CONTENT))

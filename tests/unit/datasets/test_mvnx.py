@@ -36,15 +36,7 @@ def test_normal_frames_only(
 def test_an_upper_body_alone_is_read_by_name(
     trial: Path, mvnx_text: Callable[..., str], motion: Callable[..., np.ndarray]
 ) -> None:
-    segments = [
-        "LeftHand",
-        "LeftForeArm",
-        "LeftUpperArm",
-        "Prop1",
-        "RightUpperArm",
-        "RightForearm",
-        "RightHand",
-    ]
+    segments = ["LeftHand", "LeftForeArm", "LeftUpperArm", "Prop1", "RightUpperArm", "RightForearm", "RightHand"]
     trial.write_text(mvnx_text(4, segments))
     (recording,) = mvnx.load(trial)
     assert recording.joints == (

@@ -7,6 +7,7 @@ import hashlib
 import io
 import os
 import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from kinecast.datasets.remote_file import download, public_sets
+from kinecast.datasets import remote_file
+from kinecast.datasets.remote_file import PublicSet, RemoteFile, cache_folder, cached_model, download, public_sets
 from kinecast.errors import DownloadError, OptionError
 
 from ...conftest import Server
@@ -60,11 +62,8 @@ def test_a_broken_connection_is_resumed_where_it_broke(server: Server, tmp_path:
     server.breaks_after = 130_000
     (path,) = fetch(server, tmp_path)
     assert path.read_bytes() == CONTENT
-    assert [wanted for name, wanted in server.requests if name == "files/a.bin"] == [
-        None,
-        "bytes=130000-",
-        "bytes=260000-",
-    ]
+    wanted = [wanted for name, wanted in server.requests if name == "files/a.bin"]
+    assert wanted == [None, "bytes=130000-", "bytes=260000-"]
 
 
 def test_a_run_that_was_stopped_is_continued_by_the_next(server: Server, tmp_path: Path) -> None:
@@ -242,11 +241,14 @@ def test_the_shipped_table_is_well_formed() -> None:
     sets = {name: each for name, each in public_sets().items() if each.model is None}
     assert list(sets) == ["human-robot-animations", "human-assembly-data", "handovers", "andy"]
     assert [None if s.files is None else len(s.files) for s in sets.values()] == [47, 14, 27, None]
-    for public in sets.values():
+    models = {name: each for name, each in public_sets().items() if each.model}
+    assert set(models) == {"pose-landmarker", "rtmpose-m", "yolox-m"}
+    for public in (*sets.values(), *models.values()):
         assert public.url.startswith("https://")
-        for file in public.files or ():
+        assert public.model is None or "Apache" in public.licence
+        for file in (*(public.files or ()), *filter(None, [public.model])):
             assert re.fullmatch("sha256:[0-9a-f]{64}", file.checksum)
-            assert 0 < file.size < 10_000_000
+            assert 0 < file.size < (200_000_000 if public.model else 10_000_000)
 
 
 def test_the_shipped_checksums_are_those_of_the_real_files(server: Server, data_root: Path, tmp_path: Path) -> None:
@@ -259,3 +261,73 @@ def test_the_shipped_checksums_are_those_of_the_real_files(server: Server, data_
     paths = download("handovers", tmp_path, url=server.url, patience=0.0)
     assert len(paths) == 27
     assert all(path.read_text().startswith("x,y,z,q0,q1,q2,q3\n") for path in paths)
+
+
+# Models, which may come in an archive
+
+NETWORK = np.random.default_rng(1).bytes(200_000)
+
+
+def archive_of(**files: bytes) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, each in files.items():
+            archive.writestr(f"2023/{name}.onnx", each)
+        archive.writestr("2023/../../detail.json", b"{}")
+    return content.getvalue()
+
+
+def offer(server: Server, archive: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model `net` in an archive on the server."""
+
+    def remote(name: str, content: bytes) -> RemoteFile:
+        return RemoteFile(name, f"sha256:{hashlib.sha256(content).hexdigest()}", len(content))
+
+    server.files["net.zip"] = archive
+    files = (remote("net.zip", archive),)
+    public = PublicSet("net", "a network", "MIT", "home", server.url, files, remote("net.onnx", NETWORK))
+    monkeypatch.setattr(remote_file, "public_sets", lambda: {"net": public})
+
+
+@pytest.fixture
+def known(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    offer(server, archive_of(end2end=NETWORK), monkeypatch)
+
+
+@pytest.mark.usefixtures("known")
+def test_a_model_comes_out_of_its_archive_and_is_fetched_once(server: Server, tmp_path: Path) -> None:
+    (path,) = download("net", tmp_path, patience=0.0)
+    assert (path.read_bytes(), everything_in(tmp_path)) == (NETWORK, {"net.onnx"})
+    assert download("net", tmp_path, patience=0.0) == [path]
+    assert server.requests == [("net.zip", None)]
+
+
+@pytest.mark.usefixtures("known")
+def test_another_file_of_the_same_size_is_refused(server: Server, tmp_path: Path) -> None:
+    server.files["net.zip"] = server.files["net.zip"][:-1] + b"?"
+    with pytest.raises(DownloadError, match="checksum"):
+        download("net", tmp_path, patience=0.0)
+    assert everything_in(tmp_path) == set()
+
+
+@pytest.mark.parametrize("files", [{}, {"a": NETWORK, "b": NETWORK}, {"a": NETWORK[::-1]}])
+def test_an_archive_with_something_else_gives_no_model(
+    files: dict[str, bytes], server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offer(server, archive_of(**files), monkeypatch)
+    with pytest.raises(DownloadError, match=r"net\.zip: .*(expected one|checksum)"):
+        download("net", tmp_path, patience=0.0)
+    assert everything_in(tmp_path) == {"net.zip"}
+
+
+def test_what_is_there_is_found_and_what_is_not_is_named_with_its_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("KINECAST_MODELS", str(tmp_path))
+    assert cache_folder() == tmp_path
+    with pytest.raises(OptionError, match=r"fetch it once with: kinecast download rtmpose-m$"):
+        cached_model("rtmpose-m")
+    (tmp_path / "rtmpose-m.onnx").touch()
+    assert cached_model("rtmpose-m") == tmp_path / "rtmpose-m.onnx"
+    with pytest.raises(OptionError, match="there are pose-landmarker, rtmpose-m, yolox-m"):
+        cached_model("andy")

@@ -36,7 +36,9 @@ def test_positions_names_and_missing_cells(
     assert recording.rate == 100.0
     assert recording.joints[:2] == ("pelvis", "right_wrist")
     np.testing.assert_allclose(recording.positions, positions, atol=1e-12)
-    np.testing.assert_array_equal(recording.valid[:, 1], [True, True, False, False, True, True, True, True])
+    np.testing.assert_array_equal(
+        np.isfinite(recording.positions[:, 1, 0]), [True, True, False, False, True, True, True, True]
+    )
     np.testing.assert_allclose(recording.stamps, np.arange(8) / 100.0)
 
 

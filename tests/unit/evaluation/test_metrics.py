@@ -9,15 +9,7 @@ from scipy.special import ndtr
 from scipy.stats import chi2, gaussian_kde
 
 from kinecast.evaluation import metrics
-from kinecast.evaluation.metrics import (
-    crps,
-    energy_score,
-    is_moving,
-    joint_errors,
-    kde_nll,
-    regions,
-    scored,
-)
+from kinecast.evaluation.metrics import crps, energy_score, is_moving, joint_errors, kde_nll, regions, scored
 
 SAMPLE_SCORES = (crps, energy_score, kde_nll)
 
@@ -73,9 +65,7 @@ def test_energy_score_on_a_line_is_the_crps() -> None:
     np.testing.assert_allclose(energy_score(samples, truth), crps(samples, truth)[..., 0], rtol=1e-10)
 
 
-def test_energy_score_agrees_with_all_pairs(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_energy_score_agrees_with_all_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Many sets of samples, scored with 16 S pairs and with all: equal within the mean's standard error."""
     rng = np.random.default_rng(4)
     samples, truth = isotropic(rng, 100, windows=60, sigma=0.05)

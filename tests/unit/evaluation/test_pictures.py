@@ -30,7 +30,7 @@ def moment(samples: int = 20, steps: int = 3) -> Moment:
     observed = np.stack([pose - forward, pose])
     mean = np.stack([pose + (k + 1) * forward for k in range(steps)])
     noise = 0.05 * np.random.default_rng(0).standard_normal((samples, steps, 6, 3))
-    return Moment(observed, mean + noise, mean, 1 / 30, truth=mean + 0.01)
+    return Moment(observed, mean + noise, mean, mean + 0.01, 1 / 30)
 
 
 def share_of(path: Path, colour: str) -> float:
@@ -41,9 +41,16 @@ def share_of(path: Path, colour: str) -> float:
     return float(np.mean(np.abs(pixels - wanted).max(axis=-1) < 12))
 
 
-def test_the_picture_shows_the_person_and_the_table(tmp_path: Path) -> None:
-    plain, full = tmp_path / "plain.png", tmp_path / "full.png"
-    draw_prediction(plain, moment())
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A picture of `moment`."""
+    path = tmp_path_factory.mktemp("pictures") / "plain.png"
+    draw_prediction(path, moment())
+    return path
+
+
+def test_the_picture_shows_the_person_and_the_table(tmp_path: Path, plain: Path) -> None:
+    full = tmp_path / "full.png"
     draw_prediction(full, moment(), Scene((TABLE,)), "a title")
     draw_prediction(tmp_path / "again.png", moment())
     assert plain.read_bytes() == (tmp_path / "again.png").read_bytes()
@@ -54,17 +61,17 @@ def test_the_picture_shows_the_person_and_the_table(tmp_path: Path) -> None:
 
 def odd_moments() -> dict[str, Moment]:
     usual = moment()
-    assert usual.truth is not None
     holed = usual.truth.copy()
     holed[1], holed[-1, 2, 0] = np.nan, np.nan
     unseen = usual.observed.copy()
     unseen[0, :3] = np.nan
+    unknown = np.full_like(usual.truth, np.nan)
     few = {"samples": usual.samples[:1], "observed": usual.observed[-1:]}
     return {
-        "no truth or samples": dataclasses.replace(usual, truth=None, samples=usual.samples[:0]),
+        "no truth or samples": dataclasses.replace(usual, truth=unknown, samples=usual.samples[:0]),
         "truth with holes": dataclasses.replace(usual, truth=holed),
         "one sample, one frame": dataclasses.replace(usual, **few),
-        "one step": dataclasses.replace(usual, samples=usual.samples[:, :1], mean=usual.mean[:1], truth=None),
+        "one step": dataclasses.replace(usual, samples=usual.samples[:, :1], mean=usual.mean[:1], truth=unknown[:1]),
         "an arm unseen": dataclasses.replace(usual, observed=unseen),
         "no width": dataclasses.replace(usual, observed=np.ones((2, 6, 3))),
     }
@@ -76,16 +83,15 @@ def test_odd_moments_are_drawn(name: str, tmp_path: Path) -> None:
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
-def test_what_happened_is_seen(tmp_path: Path) -> None:
-    draw_prediction(tmp_path / "with.png", moment())
-    draw_prediction(tmp_path / "without.png", dataclasses.replace(moment(), truth=None))
-    assert share_of(tmp_path / "without.png", TRUTH) < 1e-5 < 1e-3 < share_of(tmp_path / "with.png", TRUTH)
+def test_what_happened_is_seen(tmp_path: Path, plain: Path) -> None:
+    draw_prediction(tmp_path / "without.png", dataclasses.replace(moment(), truth=np.full((3, 6, 3), np.nan)))
+    legend = 2e-4
+    assert share_of(tmp_path / "without.png", TRUTH) < legend < 1e-3 < share_of(plain, TRUTH)
 
 
 def film(count: int = 4, steps: int = 3) -> list[Moment]:
     """Successive moments of someone who moves forward."""
     first = moment(steps=steps)
-    assert first.truth is not None
     shifts = [np.array([0.02 * k, 0.0, 0.0]) for k in range(count)]
     return [
         dataclasses.replace(
@@ -115,10 +121,10 @@ def test_a_film_of_successive_predictions(tmp_path: Path) -> None:
         assert 0.001 < np.mean(np.abs(after - before).max(axis=-1) > 12) < 0.2
 
 
-@pytest.mark.parametrize("name", odd_moments())
-def test_odd_moments_are_filmed(name: str, tmp_path: Path) -> None:
-    animate_predictions(tmp_path / "a.gif", [odd_moments()[name], moment()])
-    assert (tmp_path / "a.gif").stat().st_size > 1000
+def test_odd_moments_are_filmed(tmp_path: Path) -> None:
+    animate_predictions(tmp_path / "a.gif", [*odd_moments().values()])
+    with Image.open(tmp_path / "a.gif") as played:
+        assert played.n_frames == 6
 
 
 def test_a_film_too_large_is_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

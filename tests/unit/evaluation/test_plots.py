@@ -34,8 +34,7 @@ def charts(names: tuple[str, ...]) -> dict[str, Figure]:
     steps = {name: [10.0, None, 30.0 + k] for k, name in enumerate(names)}
     return {
         "error": plot_over_horizon(steps, 0.5, "error"),
-        "steps": plot_over_horizon(steps, None, "error"),
-        "nll": plot_nll_histograms({name: rng.standard_normal(25) - k for k, name in enumerate(names)}),
+        "nll": plot_nll_histograms({name: rng.standard_normal(25) - k for k, name in enumerate(names)}, {}),
         "coverage": plot_coverage({name: {"0.5": 0.4, "0.9": None, "0.99": 0.98} for name in names}),
         "coverage by step": plot_over_horizon({name: [80.0, None, 90.0] for name in names}, 0.5, "inside", 90.0),
         "violations": plot_violations(
@@ -79,11 +78,9 @@ def test_png(tmp_path: Path) -> None:
 
 
 def test_nothing_to_draw_is_an_empty_chart() -> None:
-    for figure in charts(()).values():
-        ElementTree.fromstring(figure_svg(figure, "empty"))
     nothing = {"kinecast": np.full(3, np.nan)}
-    ElementTree.fromstring(figure_svg(plot_nll_histograms(nothing), "no scores"))
-    ElementTree.fromstring(figure_svg(plot_over_horizon({"kinecast": [None]}, None, "error"), "no errors"))
+    ElementTree.fromstring(figure_svg(plot_nll_histograms(nothing, {}), "no scores"))
+    ElementTree.fromstring(figure_svg(plot_over_horizon({"kinecast": [None]}, 0.5, "error"), "no errors"))
 
 
 def test_one_value_and_equal_values_have_histograms() -> None:

@@ -13,7 +13,9 @@ from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 
 LEFT, RIGHT = 0, 1
-WRIST_ABOVE_TABLE = 0.08  # wrists stay this far above the table, the length of a bent hand [m]
+TABLE = 0.9
+"""Height of the table's top [m]: lower than any elbow, and within the reach of all. People stand."""
+WRIST_HEIGHT = TABLE + 0.08  # wrists stay above the table by the length of a bent hand [m]
 SHORTEST = 0.4  # no movement takes less time [s]
 HANDLE = 0.13  # from the middle of the crate to each hand [m]
 PEAK = 1.875  # peak over mean speed of a minimum-jerk movement: s'(1/2) = 15/8
@@ -30,12 +32,11 @@ class Actor:
     Id idle. The last quarter of the movement to an object or to its place belongs to Pi or Pl.
     """
 
-    def __init__(self, body: Body, scene: Scene, rng: np.random.Generator, table: float, hesitation: float = 0.0):
+    def __init__(self, body: Body, scene: Scene, rng: np.random.Generator, hesitation: float = 0.0):
         self._body = body
         self._hesitation = hesitation
         self._goals = scene.goals
         self._rng = rng
-        self._wrist_height = table + WRIST_ABOVE_TABLE
         rest = [self._rest(LEFT), self._rest(RIGHT)]
         self._hands = [Path(rest[LEFT]), Path(rest[RIGHT])]
         self._trunk = Path(self._posture(np.stack(rest), turn_to=0.0))
@@ -176,7 +177,7 @@ class Actor:
 
     def _rest(self, hand: int) -> Point:
         """Somewhere above the near edge of the table."""
-        middle = np.array([0.22, 0.17 if hand == LEFT else -0.17, self._wrist_height])
+        middle = np.array([0.22, 0.17 if hand == LEFT else -0.17, WRIST_HEIGHT])
         return middle + self._rng.uniform(-1.0, 1.0, 3) * [0.03, 0.03, 0.01]
 
     def _within(self, goal: str) -> Point:
