@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from kinecast.cli import main
+from kinecast.cli.commands import run
 from kinecast.datasets import table
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 
@@ -53,16 +53,16 @@ Kinecast = Callable[..., Outcome]
 def kinecast(capsys: pytest.CaptureFixture[str]) -> Kinecast:
     """kinecast("info", path) → Outcome."""
 
-    def run(*arguments: object) -> Outcome:
+    def outcome(*arguments: object) -> Outcome:
         capsys.readouterr()
         try:
-            main([str(argument) for argument in arguments])
+            run([str(argument) for argument in arguments])
             code = 0
         except SystemExit as exit_:
             code = int(exit_.code or 0)
         return Outcome(code, *capsys.readouterr())
 
-    return run
+    return outcome
 
 
 @pytest.fixture(scope="session")
@@ -102,7 +102,7 @@ def model(tables: tuple[Path, Path], scene_file: Path, tmp_path_factory: pytest.
     """A small constrained model of the first person at the table."""
     path = tmp_path_factory.mktemp("models") / "kalman.npz"
     options = ["--method", "kalman_constrained", "--scene", str(scene_file), "--out", str(path)]
-    main(["train", str(tables[0]), *options])
+    run(["train", str(tables[0]), *options])
     return path
 
 

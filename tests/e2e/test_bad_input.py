@@ -359,11 +359,11 @@ def test_folders_that_are_not_writable_are_refused_first(
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "message"),
+    ("error", "message"),
     [
-        (OSError(28, "No space left on device"), 2, "kinecast: [Errno 28] No space left on device\n"),
-        (KeyboardInterrupt(), 130, "kinecast: interrupted\n"),
-        (MemoryError(), 2, "kinecast: out of memory: "),
+        (OSError(28, "No space left on device"), "kinecast: [Errno 28] No space left on device\n"),
+        (MemoryError(), "kinecast: out of memory: "),
+        (KeyboardInterrupt(), None),
     ],
 )
 def test_trouble_while_writing_leaves_nothing(
@@ -373,8 +373,7 @@ def test_trouble_while_writing_leaves_nothing(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     error: BaseException,
-    code: int,
-    message: str,
+    message: str | None,
 ) -> None:
     from kinecast.evaluation import report
 
@@ -382,11 +381,16 @@ def test_trouble_while_writing_leaves_nothing(
         raise error
 
     monkeypatch.setattr(report, "draw_prediction", fail)
-    options = ("--stride", 100, "--samples", 20, "--repeats", 0, "--out", tmp_path / "new" / "results")
-    outcome = kinecast("evaluate", "--model", model, "--test", tables[1], *options)
-    assert outcome.code == code
-    # A note that something is compiled may come first, on a machine where it has not been.
-    assert outcome.err.splitlines(keepends=True)[-1].startswith(message)
+    out = tmp_path / "new" / "results"
+    command = ("evaluate", "--model", model, "--test", tables[1], "--stride", 100, "--samples", 20, "--repeats", 0)
+    if message is None:  # then it is the process's (test_ctrl_c.py)
+        with pytest.raises(KeyboardInterrupt):
+            kinecast(*command, "--out", out)
+    else:
+        outcome = kinecast(*command, "--out", out)
+        assert outcome.code == 2
+        # A note that something is compiled may come first, on a machine where it has not been.
+        assert outcome.err.splitlines(keepends=True)[-1].startswith(message)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -415,14 +419,14 @@ def test_a_two_gigabyte_file_needs_little_memory(numbers: np.ndarray, model: Pat
     (tmp_path / "fine.txt").write_bytes(head["a.txt"])
     script = """
 import resource
-from kinecast.cli import main
+from kinecast.cli.commands import run
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 for command in (
     "info a.txt", "info a.parquet", "evaluate --test fine.txt --model a.npz --out out",
     "train fine.txt --scene a.yaml --out b.npz",
 ):
     try:
-        main(command.split())
+        run(command.split())
     except SystemExit as exit_:
         print(exit_.code)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)

@@ -42,10 +42,10 @@ def evaluation(
     tables: tuple[Path, Path], model: Path, scene_file: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     """The folder of a whole evaluation, pictures and all."""
-    from kinecast.cli import main
+    from kinecast.cli.commands import run
 
     out = tmp_path_factory.mktemp("results") / "new" / "evaluation"
-    main(
+    run(
         ["evaluate", "--model", str(model), "--test", str(tables[1]), "--scene", str(scene_file), "--out", str(out)]
         + [str(option) for option in QUICK]
     )
