@@ -97,8 +97,8 @@ def evaluate(
     scores = EvaluationOptions(samples, repeats, seed=seed)
     names = _methods_asked(train, model, methods, ablate, scores)
     obstacles = None if scene is None else Scene.load(scene)
-    told = {"rate": rate, "window": window, "horizon": horizon}
-    told = {name: value for name, value in told.items() if value is not None}
+    given = {"rate": rate, "window": window, "horizon": horizon}
+    told: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     saved = read_models(model, told) if model else None
     options = replace(saved.windows if saved else WindowOptions(**told), stride=stride, label=label)
     with worker_pool(cluster) as workers:
@@ -198,7 +198,7 @@ def train_methods(
     return Compared(methods, limits_of(data), [recording.name for recording in recordings], options, {})
 
 
-def read_models(paths: Sequence[Path], told: Mapping[str, float]) -> Compared:
+def read_models(paths: Sequence[Path], told: Mapping[str, Any]) -> Compared:
     """Saved models, at least one, all for the windows told (`rate`, `window`, `horizon`), or else those of the first.
 
     A ModelError where a file is no model, or made for other windows; an OptionError for windows that there are not.
