@@ -150,7 +150,7 @@ def test_without_viser_the_command_says_what_to_install(
     kinecast: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in list(sys.modules):
-        if name.startswith(("kinecast.view", "kinecast.cli.view")):
+        if name.startswith("kinecast.view"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "viser", None)
     done = kinecast("simulate", "--view")
