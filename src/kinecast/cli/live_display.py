@@ -8,10 +8,9 @@ from contextlib import contextmanager
 
 from rich.console import Group
 from rich.live import Live as Screen
-from rich.table import Table
 from rich.text import Text
 
-from kinecast.cli.progress import CONSOLE, plain, status_lines
+from kinecast.cli.progress import CONSOLE, columns, plain, status_lines
 from kinecast.live.loop import Live
 from kinecast.live.mailbox import Feed
 from kinecast.types import Status
@@ -37,16 +36,12 @@ def summary(loop: Live) -> str:
 
 def tables(loop: Live, running: bool = True) -> Group:
     """One table for what comes, one for what goes, one line for each status."""
-    comes = Table("source", "status", box=None, pad_edge=False)
-    for title in ("frames", "stale", "refused", "clients", "clock [s]", "set"):
-        comes.add_column(Text(title), justify="right")
+    comes = columns("source", "status", numbers="frames,stale,refused,clients,clock [s],set")
     for feed in loop.mailbox.feeds:
         counts = (feed.received, feed.superseded, feed.refused, feed.clients)
         clock = "same" if feed.difference is None else f"{feed.difference:+.3f}"
         comes.add_row(Text(feed.name), _state(loop, feed, running), *map(str, counts), clock, str(feed.clock_jumps))
-    goes = Table("sink", box=None, pad_edge=False)
-    for title in ("published", "dropped", "p50 [ms]", "p99 [ms]"):
-        goes.add_column(Text(title), justify="right")
+    goes = columns("sink", numbers="published,dropped,p50 [ms],p99 [ms]")
     for sink in loop.sinks:
         counters = sink.counters
         latencies = (f"{1e3 * counters.latency(share):.1f}" if counters.published else "–" for share in (0.5, 0.99))

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from rich.table import Table
-from rich.text import Text
 from tyro.conf import arg
 
 from kinecast import __version__
 from kinecast.cli.options import Switch, check_folder, check_seed
-from kinecast.cli.progress import compiling, plain
+from kinecast.cli.progress import columns, compiling, plain
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
@@ -205,9 +203,7 @@ def _tell(decision: Decision) -> None:
 
 def _table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:
     """The figures of every scenario."""
-    table = Table("", "result", box=None, pad_edge=False)
-    for title in ("contacts", "least [m]", "done [s]", "stops", "replans", "p50 [ms]", "p99 [ms]"):
-        table.add_column(Text(title), justify="right")
+    table = columns("", "result", numbers="contacts,least [m],done [s],stops,replans,p50 [ms],p99 [ms]")
     for name, (_, outcome) in episodes.items():
         least = f"{outcome.least_distance:.2f}" if np.isfinite(outcome.least_distance) else "–"
         counts = (outcome.contacts, least, f"{outcome.time_to_done:.1f}", outcome.stops, outcome.replans)
