@@ -75,8 +75,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "first.parquet", folder / "second.parquet"
 
 
-@pytest.fixture
-def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+def leave_undrawn(patch: pytest.MonkeyPatch) -> None:
     """Evaluations write their scores, and empty files for the rest: fast."""
     from kinecast.evaluation import report
 
@@ -86,9 +85,15 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     def write(_metrics: object, _histograms: object, folder: Path, _pictures: object) -> None:
         (folder / "report.html").touch()
 
-    monkeypatch.setattr(report, "draw_prediction", draw)
-    monkeypatch.setattr(report, "animate_predictions", draw)
-    monkeypatch.setattr(report, "write_report", write)
+    patch.setattr(report, "draw_prediction", draw)
+    patch.setattr(report, "animate_predictions", draw)
+    patch.setattr(report, "write_report", write)
+
+
+@pytest.fixture
+def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """See `leave_undrawn`."""
+    leave_undrawn(monkeypatch)
 
 
 @pytest.fixture(scope="session")

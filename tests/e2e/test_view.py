@@ -104,7 +104,7 @@ def test_the_cell_is_seen_played_and_scrubbed(
 def test_people_and_their_predictions_are_seen_in_a_browser(
     page: Page, start: Callable[..., Any], tables: tuple[Path, Path]
 ) -> None:
-    running = start("--source", f"recording:{tables[0]}?repeat=100", "--sink", "view://127.0.0.1:0")
+    running = start("--source", f"recording:{tables[0]}?repeat=100&speed=0.2", "--sink", "view://127.0.0.1:0")
     page.open(running.sinks[0])
     shown = "document.getElementById('live')?.innerText"
     wait_for("a prediction of the recording", lambda: str(tables[0]) in (page.run(shown) or ""))
