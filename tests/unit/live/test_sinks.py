@@ -158,6 +158,23 @@ def test_a_full_disc_is_said_once_and_ends_nothing(predictor: Predictor, caplog:
     assert len(caplog.records) == 1
 
 
+def test_a_fault_costs_one_is_logged_once_and_percentiles_are_known_to_half_a_millisecond(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    counters = SinkCounters("sink", "drawn", OSError)
+    assert [counters.attempt(int, text) for text in ("odd", "odd", "1")] == [False, False, True]
+    assert caplog.text.count("sink: a prediction could not be drawn") == 1
+    assert np.isnan(counters.latency(0.5))
+    latencies = np.random.default_rng(0).exponential(0.02, 5000)
+    for latency in latencies:
+        counters.sent(float(latency))
+    for share in (0.5, 0.99):
+        assert 0 <= counters.latency(share) - np.quantile(latencies, share, method="inverted_cdf") <= 0.5e-3
+    counters.sent(1e9)
+    assert counters.latency(1.0) == np.inf
+    assert counters.published == 5001
+
+
 @pytest.fixture
 def network() -> Iterator[Network]:
     network = Network()
