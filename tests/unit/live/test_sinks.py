@@ -271,7 +271,7 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
     for k in range(150):
         frame = SkeletonFrame(k / 30, ARM_JOINTS, REST + 0.02 * np.sin(k / 5), "0")
         camera.put(frame, now)
-        for _ in range(3):
+        for _ in range(2):
             now += rng.choice((0.0, 0.01, 1.0))
             scale = 1.0 if k % 40 < 25 else rng.choice((0.0, 1e-6, 1.0, 30.0))
             stamp = (0.0, 1e9, -50.0, 9e10)[k // 40] + rng.choice((k / 30, k / 30, k / 30, 0.0))
@@ -286,7 +286,7 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
         np.testing.assert_array_equal(mine.prediction.mean, alone.observe(frame).mean)
     assert live.failures == 0
     assert liar.refused == 0
-    assert liar.received > 400
+    assert liar.received == 300
     assert len({each.prediction.status for each in taken if each.source == "liar"}) > 3
     for each in taken:
         fits(json.loads(json.dumps(scene_update(each, 0.0), allow_nan=False)), SCENE_UPDATE)
