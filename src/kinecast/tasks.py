@@ -21,11 +21,10 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, closing, contextmanager, suppress
-from functools import partial
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from importlib.metadata import version
+from importlib.util import find_spec
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -74,14 +73,16 @@ class Serial:
         total = len(waiting)
         while waiting:
             task, call = waiting.pop()
-            task.set_result(single_threaded(*_each(_result, Future, list(call))))
+            task.set_result(single_threaded(*map(_value, call)))
             if progress:
                 progress(total - len(waiting), total)
-        return list(map(_result, handles))
+        return [_value(task) for task in handles]
 
 
-def _result(task: Future[Any]) -> Any:
-    return task.result(timeout=0)  # a task before it has failed where there is none
+def _value(argument: Any) -> Any:
+    if isinstance(argument, list):
+        return [_value(each) for each in argument]
+    return argument.result(timeout=0) if isinstance(argument, Future) else argument
 
 
 def single_threaded(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -102,13 +103,6 @@ def scatter(value: Any) -> Any:
     return value
 
 
-def _each(function: Callable[[Any], Any], kind: type, value: Any) -> Any:
-    """A value, with the function of what is of a kind in its place, alone or in lists."""
-    if isinstance(value, list):
-        return [_each(function, kind, each) for each in value]
-    return function(value) if isinstance(value, kind) else value
-
-
 class Cluster:
     """Workers that are a Dask cluster's; the tasks of a worker that is lost are done again by others.
 
@@ -123,20 +117,16 @@ class Cluster:
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """See Serial."""
         import cloudpickle
-        import distributed
+        from distributed import Future as Remote
 
         for module in CARRIED:
             cloudpickle.register_pickle_by_value(module)
-        name = getattr(function.func if isinstance(function, partial) else function, "__name__", "task")
-        needed: list[Any] = []
-
-        def place(future: Any) -> _Place:
-            needed.append(future)
-            return _Place(len(needed) - 1)
-
-        call = cloudpickle.dumps(_each(place, distributed.Future, [function, *arguments]))
-        key = f"{name.strip('_')}-{uuid.uuid4().hex}"
-        self._waiting.append(self.client.submit(_on_worker, call, needed, key=key, pure=False))
+        name = getattr(getattr(function, "func", function), "__name__", "task").strip("_")
+        call = [
+            each if isinstance(each, Remote | list) else _Pickled(cloudpickle.dumps(each))
+            for each in (function, *arguments)
+        ]
+        self._waiting.append(self.client.submit(_on_worker, *call, key=f"{name}-{uuid.uuid4().hex}", pure=False))
         return self._waiting[-1]
 
     def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
@@ -178,19 +168,16 @@ class Cluster:
 Workers = Serial | Cluster
 
 
-class _Place(NamedTuple):
-    """Of another task's result among those that a task needs."""
-
-    number: int
+class _Pickled(bytes):
+    """A part of a task on its way: Dask loses a worker that cannot unpickle what comes."""
 
 
-def _on_worker(content: bytes, results: list[Any]) -> Any:
-    """A task on a worker. It comes pickled: Dask loses a worker that cannot unpickle what comes."""
+def _on_worker(*call: Any) -> Any:
     try:
-        call = _each(lambda place: results[place.number], _Place, pickle.loads(content))
+        loaded = [pickle.loads(each) if isinstance(each, _Pickled) else each for each in call]
     except ImportError as error:
         raise ClusterError(f"a worker lacks something: {error}") from error
-    return single_threaded(*call)
+    return single_threaded(*loaded)
 
 
 @contextmanager
@@ -235,14 +222,13 @@ def worker_count(where: str) -> int | None:
         OptionError: no address, or a number of workers outside 1..1024.
     """
     kind, _, number = where.partition(":")
+    if kind != "local" and number:
+        return None
     if where == "local":
         return len(os.sched_getaffinity(0))
-    if kind == "local" and re.fullmatch("[0-9]{1,4}", number) and 1 <= int(number) <= 1024:
+    if re.fullmatch("[0-9]{1,4}", number) and 1 <= int(number) <= 1024:
         return int(number)
-    if kind == "local" or not number:
-        expected = "local, local:N with N of 1..1024, or HOST:PORT, tls://HOST:PORT"
-        raise OptionError(f"--cluster {where}: expected {expected}")
-    return None
+    raise OptionError(f"--cluster {where}: expected local, local:N with N of 1..1024, or HOST:PORT, tls://HOST:PORT")
 
 
 @contextmanager
@@ -280,11 +266,8 @@ def _check(client: Any, where: str, count: int) -> None:
 
 def _facts() -> dict[str, str]:
     """What the last bits of results depend on; not the BLAS that a wheel such as OpenCV's has for itself."""
-    found = {"processor": platform.machine(), **dict.fromkeys(MATTERING, "(none)")}
-    for package in MATTERING:
-        with suppress(PackageNotFoundError):
-            found[package] = version(package)
-    pools = [(pool, Path(pool["filepath"]).parent.name) for pool in threadpool_info() if pool["user_api"] == "blas"]
-    ours = ("numpy.libs", "scipy.libs")
-    kinds = {str(pool.get("architecture")) for pool, folder in pools if folder in ours or not folder.endswith(".libs")}
-    return {**found, "BLAS": "/".join(sorted(kinds))}
+    versions = {name: version(name) if find_spec(name) else "(none)" for name in MATTERING}
+    pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    ours = [pool for pool in pools if not re.search(r"(?<!numpy|scipy)\.libs/", pool["filepath"])]
+    blas = "/".join(sorted({str(pool.get("architecture")) for pool in ours}))
+    return {"processor": platform.machine(), "BLAS": blas, **versions}

@@ -54,7 +54,7 @@ def play(scenario: str, seed: int, samples: int = VARIANTS[0]) -> Facts:
     """
     from matplotlib.figure import Figure
 
-    from kinecast.cli import main
+    from kinecast.cli.commands import run
 
     with tempfile.TemporaryDirectory() as folder:
         arguments = ("--scenario", scenario, "--seed", seed, "--samples", samples, "--out", folder)
@@ -64,7 +64,7 @@ def play(scenario: str, seed: int, samples: int = VARIANTS[0]) -> Facts:
             contextlib.redirect_stdout(io.StringIO()),
             contextlib.suppress(_NoPictures),
         ):
-            main(["simulate", *map(str, arguments)])
+            run(["simulate", *map(str, arguments)])
         episodes = json.loads((Path(folder) / "episode.json").read_text())["episodes"]
     facts = {name: facts_of(episode) for name, episode in episodes.items()}
     return facts if scenario == "all" else facts[scenario]

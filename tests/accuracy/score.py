@@ -184,7 +184,7 @@ def evaluated(*arguments: object) -> dict[str, Any]:
     """Runs `kinecast evaluate` in this process, with pictures left blank; what metrics.json holds."""
     from matplotlib.figure import Figure
 
-    from kinecast.cli import main
+    from kinecast.cli.commands import run
 
     with tempfile.TemporaryDirectory() as folder:
         with (
@@ -193,7 +193,7 @@ def evaluated(*arguments: object) -> dict[str, Any]:
             contextlib.redirect_stderr(io.StringIO()) as said,
         ):
             try:
-                main(["evaluate", *map(str, arguments), "--repeats", "0", "--out", str(Path(folder) / "out")])
+                run(["evaluate", *map(str, arguments), "--repeats", "0", "--out", str(Path(folder) / "out")])
             except SystemExit as end:
                 raise RuntimeError(f"evaluate ended with {end.code}: {said.getvalue()}") from end
         content: dict[str, Any] = json.loads((Path(folder) / "out" / "metrics.json").read_text())

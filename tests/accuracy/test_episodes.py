@@ -11,7 +11,7 @@ from typing import Any
 import jaxtyping
 import pytest
 
-from kinecast.cli import main
+from kinecast.cli.commands import run
 
 from .episodes import LEAST, RECORDED, SCENARIOS, SEEDS, Facts, differences, facts_of, play
 
@@ -49,7 +49,7 @@ def test_decisions_are_as_recorded(scenario: str, seed: int) -> None:
 def test_replan_changes_the_cube_in_mid_motion_and_leaves_decisions_and_pictures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    main(["simulate", "--scenario", "replan", "--seed", "2", "--out", str(tmp_path)])
+    run(["simulate", "--scenario", "replan", "--seed", "2", "--out", str(tmp_path)])
     assert "change cube" in capsys.readouterr().out
     episode = json.loads((tmp_path / "episode.json").read_text())["episodes"]["replan"]
     assert differences(facts_of(episode), *entry_of("replan", 2)) == []

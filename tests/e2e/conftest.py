@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from kinecast.cli import main
+from kinecast.cli.commands import run
 from kinecast.datasets import synthetic, table
 from kinecast.datasets.synthetic import SyntheticOptions, generate
 
@@ -53,16 +53,16 @@ Kinecast = Callable[..., Outcome]
 def kinecast(capsys: pytest.CaptureFixture[str]) -> Kinecast:
     """kinecast("info", path) → Outcome."""
 
-    def run(*arguments: object) -> Outcome:
+    def outcome(*arguments: object) -> Outcome:
         capsys.readouterr()
         try:
-            main([str(argument) for argument in arguments])
+            run([str(argument) for argument in arguments])
             code = 0
         except SystemExit as exit_:
             code = int(exit_.code or 0)
         return Outcome(code, *capsys.readouterr())
 
-    return run
+    return outcome
 
 
 @pytest.fixture(scope="session")
@@ -77,8 +77,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "first.parquet", folder / "second.parquet"
 
 
-@pytest.fixture
-def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+def leave_undrawn(patch: pytest.MonkeyPatch) -> None:
     """Evaluations write their scores, and empty files for the rest: fast."""
     from kinecast.evaluation import report
 
@@ -88,9 +87,15 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     def write(_metrics: object, _histograms: object, folder: Path, _pictures: object) -> None:
         (folder / "report.html").touch()
 
-    monkeypatch.setattr(report, "draw_prediction", draw)
-    monkeypatch.setattr(report, "animate_predictions", draw)
-    monkeypatch.setattr(report, "write_report", write)
+    patch.setattr(report, "draw_prediction", draw)
+    patch.setattr(report, "animate_predictions", draw)
+    patch.setattr(report, "write_report", write)
+
+
+@pytest.fixture
+def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """See `leave_undrawn`."""
+    leave_undrawn(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -104,7 +109,7 @@ def model(tables: tuple[Path, Path], scene_file: Path, tmp_path_factory: pytest.
     """A small constrained model of the first person at the table."""
     path = tmp_path_factory.mktemp("models") / "kalman.npz"
     options = ["--method", "kalman_constrained", "--scene", str(scene_file), "--out", str(path)]
-    main(["train", str(tables[0]), *options])
+    run(["train", str(tables[0]), *options])
     return path
 
 

@@ -9,7 +9,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from importlib import resources
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.cli import progress
+from kinecast.cli.commands import run
 from kinecast.datasets import table
 from kinecast.datasets.loading import load, shipped_clips
 from kinecast.datasets.recording import differences
@@ -26,6 +29,8 @@ from kinecast.datasets.table import read_rows
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.methods import METHODS, SHIPPED, read_method
 from kinecast.types import Status
+
+from .conftest import leave_undrawn
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -38,18 +43,42 @@ Kinecast = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def evaluation(
+def evaluated(
     tables: tuple[Path, Path], model: Path, scene_file: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    """The folder of a whole evaluation, pictures and all."""
-    from kinecast.cli import main
+) -> tuple[Path, str]:
+    """The folder of an evaluation, and what it printed."""
+    out = tmp_path_factory.mktemp("results")
+    command = ("evaluate", "--model", model, "--test", tables[1], "--scene", scene_file, "--out", out, *QUICK)
+    with redirect_stdout(StringIO()) as said, pytest.MonkeyPatch.context() as patch:
+        leave_undrawn(patch)
+        run([str(argument) for argument in command])
+    return out, said.getvalue()
 
-    out = tmp_path_factory.mktemp("results") / "new" / "evaluation"
-    main(
-        ["evaluate", "--model", str(model), "--test", str(tables[1]), "--scene", str(scene_file), "--out", str(out)]
-        + [str(option) for option in QUICK]
-    )
-    return out
+
+@pytest.fixture
+def evaluation(evaluated: tuple[Path, str]) -> Path:
+    """The folder."""
+    return evaluated[0]
+
+
+DEMO = """
+from functools import partial
+import kinecast.cli.commands, kinecast.cli.evaluate as command
+from kinecast.cli import main
+command.evaluate = partial(command.evaluate, stride=25)
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a demo with a fifth of its windows, pictures and all, and what it printed.
+
+    In a process of its own: checking types takes several times as long.
+    """
+    out = tmp_path_factory.mktemp("results") / "new" / "demo"
+    command = [sys.executable, "-c", DEMO, "demo", "--out", str(out)]
+    return out, subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def scores(folder: Path) -> dict[str, Any]:
@@ -154,28 +183,31 @@ class TestTrain:
 
 
 class TestDemo:
-    def test_scores_and_draws_the_clips_of_real_people(self, tmp_path: Path) -> None:
-        """In a process of its own: checking types takes several times as long."""
-        out = tmp_path / "demo"
-        command = [sys.executable, "-c", "from kinecast.cli import main; main()", "demo", "--out", str(out)]
-        outcome = subprocess.run(command, capture_output=True, text=True, check=True)
+    def test_leaves_four_files_and_no_other(self, demo: tuple[Path, str]) -> None:
+        out, said = demo
         assert sorted(path.name for path in out.iterdir()) == FILES
-        metrics = json.loads((out / "metrics.json").read_text())
+        assert [path.name for path in out.parent.iterdir()] == ["demo"]
+        assert [path.name for path in out.parent.parent.iterdir()] == ["new"]
+        assert f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}" in said
+
+    def test_scores_the_clips_of_real_people(self, demo: tuple[Path, str]) -> None:
+        metrics = json.loads((demo[0] / "metrics.json").read_text())
         assert sorted(metrics["settings"]["test"]) == sorted(clip.name for clip in shipped_clips())
         assert tuple(metrics["methods"]) == SHIPPED
         errors = {name: method["mpjpe_mm"] for name, method in metrics["methods"].items()}
         assert errors["kinecast"] < errors["damped_velocity"] < errors["zero_velocity"]
         assert metrics["methods"]["kinecast"]["violations"] == {"position": 0.0, "speed": 0.0, "scene": 0.0}
-        assert f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}" in outcome.stdout
+
+    def test_the_report_needs_nothing_else(self, demo: tuple[Path, str]) -> None:
+        page = (demo[0] / "report.html").read_text()
+        assert "gp_constrained" in page
+        assert "<script" not in page
+        assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+        assert not re.findall(r"url\((?!#)|@import", page)
+        assert page.count("data:image/png;base64,") == page.count("data:image/gif;base64,") == 1
 
 
 class TestEvaluate:
-    def test_leaves_four_files_and_no_other(self, evaluation: Path) -> None:
-        names = sorted(path.name for path in evaluation.iterdir())
-        assert names == FILES
-        assert [path.name for path in evaluation.parent.iterdir()] == ["evaluation"]
-        assert [path.name for path in evaluation.parent.parent.iterdir()] == ["new"]
-
     def test_metrics_have_the_documented_form(self, evaluation: Path) -> None:
         metrics = json.loads((evaluation / "metrics.json").read_text())
         assert set(metrics) == {"settings", "methods", "ground_truth_violations"}
@@ -209,25 +241,11 @@ class TestEvaluate:
         method = json.loads((evaluation / "metrics.json").read_text())["methods"]["kalman_constrained"]
         assert method["violations"] == {"position": 0.0, "speed": 0.0, "scene": 0.0}
 
-    def test_the_report_needs_nothing_else(self, evaluation: Path) -> None:
-        page = (evaluation / "report.html").read_text()
-        assert "kalman_constrained" in page
-        assert "<script" not in page
-        assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
-        assert not re.findall(r"url\((?!#)|@import", page)
-        assert page.count("data:image/png;base64,") == page.count("data:image/gif;base64,") == 1
-
-    @pytest.mark.usefixtures("no_drawing")
-    def test_prints_the_table_and_where_the_report_is(
-        self, kinecast: Kinecast, tables: tuple[Path, Path], model: Path, tmp_path: Path
-    ) -> None:
-        out = tmp_path / "results"
-        outcome = kinecast("evaluate", "--model", model, "--test", tables[1], "--out", out, *QUICK)
-        assert outcome.code == 0
-        assert "MPJPE" in outcome.out
-        assert re.search(r"^ kalman_constrained +\d+\.\d ± \d+\.\d ", outcome.out, re.MULTILINE)
-        assert outcome.out.endswith(f"\nreport: {out / 'report.html'}\n")
-        assert outcome.err == ""
+    def test_prints_the_table_and_where_the_report_is(self, evaluated: tuple[Path, str]) -> None:
+        out, said = evaluated
+        assert "MPJPE" in said
+        assert re.search(r"^ kalman_constrained +\d+\.\d ± \d+\.\d ", said, re.MULTILINE)
+        assert said.endswith(f"\nreport: {out / 'report.html'}\n")
 
     @pytest.mark.usefixtures("no_drawing")
     def test_training_here_or_beforehand_is_the_same_and_seeds_decide(
@@ -311,7 +329,7 @@ class TestEvaluate:
 
 
 class TestCluster:
-    """`--cluster local:2` beside this process; a killed worker is in tests/unit/tasks."""
+    """`--cluster` beside this process; several workers, and a killed one, are in tests/unit/test_cluster.py."""
 
     @pytest.mark.usefixtures("no_drawing")
     def test_scores_are_the_same_to_the_last_bit(
@@ -319,8 +337,8 @@ class TestCluster:
     ) -> None:
         command = ["evaluate", "--train", tables[0], "--test", tables[1], "--methods", "ridge", *QUICK]
         assert kinecast(*command, "--out", tmp_path / "here").code == 0
-        outcome = kinecast(*command, "--out", tmp_path / "there", "--cluster", "local:2")
-        assert (outcome.code, outcome.err) == (0, "kinecast: cluster local:2: 2 workers\n")
+        outcome = kinecast(*command, "--out", tmp_path / "there", "--cluster", "local:1")
+        assert (outcome.code, outcome.err) == (0, "kinecast: cluster local:1: 1 worker\n")
         assert scores(tmp_path / "there") == scores(tmp_path / "here")
 
     def test_a_place_that_is_none_is_refused(

@@ -118,13 +118,13 @@ def commands() -> list[list[str]]:
 
 
 def test_commands_of_the_pages_have_the_options_it_names(capsys: pytest.CaptureFixture[str]) -> None:
-    from kinecast.cli import main
+    from kinecast.cli.commands import run
 
     seen = {}
     for _, command, *words in commands():
         if command not in seen:
             with pytest.raises(SystemExit) as stopped:
-                main([command, "--help"])
+                run([command, "--help"])
             assert stopped.value.code == 0
             seen[command] = capsys.readouterr().out
         for option in (word for word in words if word.startswith("--")):

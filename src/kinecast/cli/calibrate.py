@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
+from rich.text import Text
 from tyro.conf import Positional, arg
 
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.cameras.rig import Rig
 from kinecast.cli.options import File, OptionalFile, check_file
-from kinecast.cli.progress import note
+from kinecast.cli.progress import columns, note, plain
 from kinecast.errors import DatasetError, OptionError
 from kinecast.output import write_atomically
 
@@ -53,10 +54,7 @@ def calibrate(
         intrinsics: a rig file whose lenses are taken as they are; others are found from the pictures.
         board: writes a board to print, a PNG, and ends.
     """
-    from kinecast.cameras.calibration import (
-        CharucoBoard,
-        find_extrinsics,  # here, since OpenCV is an extra
-    )
+    from kinecast.cameras.calibration import CharucoBoard, find_extrinsics  # here, since OpenCV is an extra
 
     match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", squares)
     if match is None:
@@ -73,15 +71,19 @@ def calibrate(
     known = {} if intrinsics is None else Rig.load(intrinsics).cameras
     views = {name: _views(name, folder, printed, known.get(name)) for name, folder in _folders(cameras).items()}
     corners = {name: each.corners for name, each in views.items()}
+    lenses = {name: each.lens for name, each in views.items()}
     first = origin or min(moment for each in corners.values() for moment in each)
     T_world_board = np.diag([1.0, -1.0, -1.0, 1.0])  # out of the printed face is up
     T_world_board[:3, 3] = (0.0, printed.height, height)
-    lenses = {name: each.lens for name, each in views.items()}
-    extrinsics = find_extrinsics(lenses, corners, Path(first).stem, T_world_board)
-    rig = Rig({name: PinholeCamera(name, lens, extrinsics.T_world_camera[name]) for name, lens in lenses.items()})
+    found = find_extrinsics(lenses, corners, Path(first).stem, T_world_board)
+    rig = Rig({name: PinholeCamera(name, lens, found.T_world_camera[name]) for name, lens in lenses.items()})
     write_atomically(out, rig.to_yaml().encode())
-    print("\n".join(_table(rig, views, extrinsics)))
+    print(_table(rig, views, found))
+    print("± is against the first camera; how level the world is, is how level the board lay.")
     print(f"rig: {out}")
+    for name, error in found.error.items():
+        if error > BAD:
+            note(f"{name}: corners are {error:.1f} px off: was the board bent, or moving?", "yellow")
 
 
 class _Views(NamedTuple):
@@ -110,15 +112,17 @@ def _folders(texts: tuple[str, ...]) -> dict[str, Path]:
     return folders
 
 
-def _corners(folder: Path, board: CharucoBoard) -> tuple[dict[str, Corners], int, tuple[int, int]]:
-    """What is seen of the board in the pictures of a folder, how many there are, and their width and height [px]."""
+def _views(name: str, folder: Path, board: CharucoBoard, known: PinholeCamera | None) -> _Views:
+    """What a camera saw of the board in the pictures of a folder, and its lens, found from them unless it is known."""
     import cv2
+
+    from kinecast.cameras.calibration import find_intrinsics
 
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
     if not 0 < len(paths) <= MOST_PICTURES:
         raise DatasetError(folder, f"{len(paths)} pictures ({', '.join(ENDINGS)}), 1 to {MOST_PICTURES} are taken")
     found: dict[str, Corners] = {}
-    size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = None if known is None else (known.intrinsics.width, known.intrinsics.height)
     for path in paths:
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if picture is None:
@@ -126,48 +130,30 @@ def _corners(folder: Path, board: CharucoBoard) -> tuple[dict[str, Corners], int
         mine = picture.shape[1], picture.shape[0]
         size = size or mine
         if mine != size:
-            raise DatasetError(path, "{}x{} pixels, but those before have {}x{}".format(*mine, *size))
+            others = "those before have" if known is None else "the lens is of"
+            raise DatasetError(path, "{}x{} pixels, but {} {}x{}".format(*mine, others, *size))
         if (corners := board.corners(picture)) is not None:
             found[path.stem] = corners
     if not found or size is None:
         squares = f"{board.columns}x{board.rows}"
         raise DatasetError(folder, f"a board of {squares} squares is seen in none of {len(paths)} pictures")
-    return found, len(paths), size
-
-
-def _views(name: str, folder: Path, board: CharucoBoard, known: PinholeCamera | None) -> _Views:
-    """What a camera saw of the board in the pictures of a folder, and its lens, found from them unless it is known."""
-    from kinecast.cameras.calibration import find_intrinsics
-
-    found, count, size = _corners(folder, board)
     if known is not None:
-        lens = known.intrinsics
-        if (lens.width, lens.height) != size:
-            problem = "pictures of {}x{} pixels, but the lens is of {}x{}"
-            raise DatasetError(folder, problem.format(*size, lens.width, lens.height))
-        return _Views(found, count, lens, "given")
+        return _Views(found, len(paths), known.intrinsics, "given")
     lens, error, std = find_intrinsics(name, found, size)
     if std > VAGUE * size[0]:
         advice = "take more pictures of a tilted board that fills much of the picture, in all its corners"
         note(f"{name}: its lens is known to {std:.0f} px only; {advice}", "yellow")
-    return _Views(found, count, lens, f"{error:.2f} px")
+    return _Views(found, len(paths), lens, f"{error:.2f} px")
 
 
-def _table(rig: Rig, views: Mapping[str, _Views], extrinsics: Extrinsics) -> list[str]:
-    """One line for each camera."""
-    width = max(len("camera"), *map(len, rig.cameras))
-    lines = [f"{'camera':{width}}  pictures  used  lens      place     x [m]    y [m]    z [m]   ± [mm]  ± [°]"]
+def _table(rig: Rig, views: Mapping[str, _Views], extrinsics: Extrinsics) -> str:
+    """A row for each camera."""
+    table = columns("camera", numbers="pictures,used,lens,place,x [m],y [m],z [m],± [mm],± [°]")
     for name, camera in rig.cameras.items():
-        seen, error = views[name], extrinsics.error[name]
+        seen, (shift, turn) = views[name], extrinsics.std[name]
         used = len(seen.corners) - len(extrinsics.left_out[name])
-        x, y, z = camera.T_world_camera[:3, 3]
-        shift, turn = extrinsics.std[name]
-        spread = f"{1e3 * shift:7.1f}  {np.degrees(turn):5.2f}" if shift else "      –      –"
-        lines.append(
-            f"{name:{width}}  {seen.pictures:8}  {used:4}  {seen.error:8}  {error:.2f} px  "
-            f"{x:7.3f}  {y:7.3f}  {z:7.3f}  {spread}"
-        )
-        if error > BAD:
-            note(f"{name}: corners are {error:.1f} px off: was the board bent, or moving?", "yellow")
-    lines.append("± is against the first camera; how level the world is, is how level the board lay.")
-    return lines
+        place = (f"{each:.3f}" for each in camera.T_world_camera[:3, 3])
+        spread = (f"{1e3 * shift:.1f}", f"{np.degrees(turn):.2f}") if shift else ("–", "–")
+        error = f"{extrinsics.error[name]:.2f} px"
+        table.add_row(Text(name), str(seen.pictures), str(used), seen.error, error, *place, *spread)
+    return plain(table)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING
 
 from kinecast.cameras.fused_source import FusedSource
 from kinecast.cameras.rig import Rig
@@ -28,8 +28,10 @@ from kinecast.pipeline import merged_frames
 from kinecast.types import SkeletonFrame
 
 if TYPE_CHECKING:
-    from kinecast.cameras.overlay import Picture, Watcher
-    from kinecast.ros.publisher import PredictionPublisher
+    from kinecast.cameras.overlay import Watcher
+    from kinecast.cameras.realsense import RealSenseSource
+    from kinecast.cameras.webcam import WebcamSource
+    from kinecast.live.detection import DetectionHandler
     from kinecast.ros.subscriber import InputOptions
     from kinecast.ros.transport import Transport
 
@@ -72,13 +74,6 @@ _FILES: Mapping[str, type[FileSink]] = {"mcap": McapSink, "jsonl": JsonlSink}
 _REPLACED = (*_FILES, "mp4")  # sinks that begin with an empty file: opened last, so that none is lost for nothing
 
 
-@runtime_checkable
-class TakesPictures(Protocol):
-    """A sink that shows a camera's pictures too."""
-
-    def take(self, picture: Picture) -> None: ...  # neither waits nor raises
-
-
 @dataclass(frozen=True)
 class Endpoint:
     """A SOURCE or SINK, taken apart: KIND:PLACE?SETTINGS."""
@@ -92,14 +87,6 @@ class Endpoint:
     def address(self) -> Address:
         """The place, where that is an address; an OptionError where it is none."""
         return Address.parse(f"{self.kind}:{self.place}", _DEFAULT_PORTS[self.kind])
-
-    def number(self, name: str, default: float) -> float:
-        """One of the settings."""
-        return number(self.settings, name, default, self.text)
-
-    def whole_number(self, name: str, default: int) -> int:
-        """One of the settings."""
-        return whole_number(self.settings, name, default, self.text)
 
 
 def read_source(text: str) -> Endpoint:
@@ -131,7 +118,11 @@ def _endpoint(text: str, kinds: Mapping[str, str], wrong: str) -> Endpoint:
 def opened(
     inputs: Sequence[Endpoint], outputs: Sequence[Endpoint], rig: Rig | None = None, scene: Scene | None = None
 ) -> Iterator[tuple[Mailbox, list[Source], list[Sink]]]:
-    """Sources with their mailbox, and sinks; at the end sources are closed first, then sinks, then their network."""
+    """Sources with their mailbox, and sinks; at the end sources are closed first, then sinks, then their network.
+
+    What cameras of a rig see is fused; sinks that show pictures take those of a plain camera. An OptionError,
+    DatasetError or ModelError where something cannot be opened.
+    """
     mailbox = Mailbox()
     watchers: list[Watcher] = []
     with closing(Network()) as network, ExitStack() as close_sinks, ExitStack() as close_sources:
@@ -139,118 +130,96 @@ def opened(
         fused = None if rig is None else close_sources.enter_context(closing(FusedSource(rig, mailbox.feed("fusion"))))
         sources: list[Source] = [] if fused is None else [fused]
         for each in inputs:
-            sources.append(close_sources.enter_context(closing(open_source(each, mailbox, network, fused, watchers))))
+            sources.append(close_sources.enter_context(closing(_source(each, mailbox, network, fused, watchers))))
         sinks: list[Sink] = []
         for each in sorted(outputs, key=lambda each: each.kind in _REPLACED):
-            sinks.append(close_sinks.enter_context(closing(open_sink(each, network, scene))))
-        watchers += [sink.take for sink in sinks if isinstance(sink, TakesPictures)]
+            sinks.append(close_sinks.enter_context(closing(_sink(each, network, scene))))
+        watchers += [sink.take for sink in sinks if hasattr(sink, "take")]
         yield mailbox, sources, sinks
 
 
-def open_source(
-    source: Endpoint,
-    mailbox: Mailbox,
-    network: Network,
-    fused: FusedSource | None = None,
-    watchers: Sequence[Watcher] = (),
+def _source(
+    source: Endpoint, mailbox: Mailbox, network: Network, fused: FusedSource | None, watchers: Sequence[Watcher]
 ) -> Source:
-    """Opens a source with a feed of its own in the mailbox; network sources listen at once.
-
-    What cameras of a rig see is fused, and watchers take a plain camera's pictures. An OptionError, DatasetError or
-    ModelError where it cannot be opened.
-    """
+    """Opens a source with a feed of its own in the mailbox; network sources listen at once."""
     text, kind, settings = source.text, source.kind, source.settings
-    if kind in ("camera", "realsense"):
-        return _open_camera(source, mailbox.feed(f"{kind}:{source.place}"), fused, watchers)
-    feed = mailbox.feed(text)
+    of_pictures, camera = kind in ("camera", "realsense"), settings.get("camera")
+    feed = mailbox.feed(f"{kind}:{source.place}" if of_pictures else text)
+    handler: DetectionHandler | None = None
+    if camera is not None:
+        if fused is None:
+            raise OptionError(f"{text}: a camera needs --rig, the file that says where it stands")
+        handler = fused.handler(camera, feed)
+    if of_pictures:
+        opened = _camera(source, feed, watchers, handler)
+        if camera is not None and fused is not None:
+            sizes = [(each.width, each.height) for each in (opened.intrinsics, fused.rig.cameras[camera].intrinsics)]
+            if sizes[0] != sizes[1]:
+                found = "{}x{} pixels, and the rig's camera {}x{}".format(*sizes[0], *sizes[1])
+                raise OptionError(f"{text}: its images have {found}")
+        return opened
     if kind in ("recording", "bag"):
-        speed, repeat = source.number("speed", 1.0), source.whole_number("repeat", 1)
+        speed, repeat = number(settings, "speed", 1.0, text), whole_number(settings, "repeat", 1, text)
         return RecordedSource(text, feed, _recorded(source), speed, repeat)
     if kind == "xsens":
         return UdpSource(source.address, feed, network, XsensGuard(feed, XsensOptions.parse(settings, text)))
-    if "camera" in settings:
-        _rig_of(source, fused).handler(settings["camera"], feed)
-    elif fused is not None:
+    if fused is not None and handler is None:
         fused.expect(feed)
-    guard = SenderGuard(feed, fused, settings.get("camera", ""))
+    guard = SenderGuard(feed, fused, camera or "")
     if kind in ("ws", "udp"):
         return (WebSocketSource if kind == "ws" else UdpSource)(source.address, feed, network, guard)
-    return _open_ros(source, feed, guard)
+    return _ros_source(source, feed, guard)
 
 
-def _rig_of(source: Endpoint, fused: FusedSource | None) -> FusedSource:
-    if fused is None:
-        raise OptionError(f"{source.text}: a camera needs --rig, the file that says where it stands")
-    return fused
+def _camera(
+    source: Endpoint, feed: Feed, watchers: Sequence[Watcher], handler: DetectionHandler | None
+) -> WebcamSource | RealSenseSource:
+    if source.kind == "camera":
+        from kinecast.cameras.webcam import WebcamOptions, WebcamSource  # here, since cameras are extras
+
+        options = WebcamOptions.parse(source.settings, source.text)
+        return WebcamSource(feed.name, feed, source.place, options, watchers, handler)
+    from kinecast.cameras.realsense import RealSenseOptions, RealSenseSource
+
+    return RealSenseSource(feed.name, feed, source.place, RealSenseOptions.parse(source.settings, source.text), handler)
 
 
 def _recorded(source: Endpoint) -> Sequence[SkeletonFrame]:
     """All persons of a recording or a bag, frame after frame."""
+    path = Path(source.place)
     if source.kind == "recording":
-        return list(merged_frames(one_scene(read_recordings((Path(source.place),), None), Path(source.place), "live")))
+        return list(merged_frames(one_scene(read_recordings((path,), None), path, "live")))
     from kinecast.ros.bags import read_frames  # here, since ROS is an extra
 
-    frames, wrong = read_frames(Path(source.place), source.settings.get("topic", ""), _ros_input(source))
+    frames, wrong = read_frames(path, source.settings.get("topic", ""), _ros_input(source))
     if wrong:
-        note(f"{Path(source.place)}: {wrong} messages were no skeletons")
+        note(f"{path}: {wrong} messages were no skeletons")
     return frames
 
 
-def _open_camera(source: Endpoint, feed: Feed, fused: FusedSource | None, watchers: Sequence[Watcher]) -> Source:
-    camera, place, settings = source.settings.get("camera"), source.place, source.settings
-    opened: Source
-    handler = None if camera is None else _rig_of(source, fused).handler(camera, feed)
-    if source.kind == "camera":
-        from kinecast.cameras.webcam import WebcamOptions, WebcamSource  # here, since cameras are extras
-
-        webcam = WebcamSource(feed.name, feed, place, WebcamOptions.parse(settings, source.text), watchers, handler)
-        opened, found = webcam, webcam.intrinsics
-    else:
-        from kinecast.cameras.realsense import RealSenseOptions, RealSenseSource
-
-        depth = RealSenseSource(feed.name, feed, place, RealSenseOptions.parse(settings, source.text), handler)
-        opened, found = depth, depth.intrinsics
-    if camera is not None and fused is not None:
-        calibrated = fused.rig.cameras[camera].intrinsics
-        if (found.width, found.height) != (calibrated.width, calibrated.height):
-            sizes = f"{found.width}x{found.height} pixels, and the rig's camera {calibrated.width}x{calibrated.height}"
-            raise OptionError(f"{source.text}: its images have {sizes}")
-    return opened
-
-
-def open_sink(sink: Endpoint, network: Network, scene: Scene | None = None) -> Sink:
+def _sink(sink: Endpoint, network: Network, scene: Scene | None) -> Sink:
     """Opens a sink, in the network where it needs one. Views draw the scene."""
-    kind = sink.kind
+    kind, path = sink.kind, Path(sink.place)
     if kind in _FILES:
-        return _FILES[kind](Path(sink.place))
+        return _FILES[kind](path)
     if kind == "mp4":
         from kinecast.cameras.movie import Movie  # here, since cameras are an extra
 
-        return Movie(Path(sink.place))
+        return Movie(path)
     if kind == "ws":
         packed = choice(sink.settings, "format", ("json", "msgpack"), sink.text) == "msgpack"
         return WebSocketSink(sink.address, network, packed)
     if kind == "view":
         from kinecast.view.live_view import LiveView  # here, since the view is an extra
 
-        address = sink.address
-        return LiveView(address.host, address.port, scene, f"--sink {sink.text}")
-    from kinecast.ros.bags import BagWriter  # here, since ROS is an extra
-    from kinecast.ros.messages import ros2_release
-    from kinecast.ros.transport import RosSink
-
-    publisher = _ros_output(sink)
-    if kind == "bag":
-        distribution = ros2_release(sink.settings.get("distro", "jazzy"), f"{sink.text}: distro")
-        bag = BagWriter(Path(sink.place), distribution, sink.settings.get("storage", "mcap"))
-        return RosSink(sink.text, publisher, bag, MOST_WAITING)
-    return RosSink(sink.text, publisher, _transport(sink), ROOM)
+        return LiveView(sink.address.host, sink.address.port, scene, f"--sink {sink.text}")
+    return _ros_sink(sink)
 
 
 # ROS (docs/ros.md)
 
 
-def _open_ros(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:
+def _ros_source(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:
     from kinecast.ros.subscriber import TF_TYPE, SkeletonSubscriber, input_type
     from kinecast.ros.transport import RosSource
 
@@ -267,33 +236,39 @@ def _open_ros(source: Endpoint, feed: Feed, guard: SenderGuard) -> Source:
 def _ros_input(source: Endpoint) -> InputOptions:
     from kinecast.ros.subscriber import InputOptions
 
-    settings, height = source.settings, source.number("height", InputOptions.height)
+    settings, height = source.settings, number(source.settings, "height", InputOptions.height, source.text)
     frame = settings.get("frame", "").lstrip("/")
     return InputOptions(settings.get("joints", ""), settings.get("person", "0"), frame, height)
 
 
-def _ros_output(sink: Endpoint) -> PredictionPublisher:
+def _ros_sink(sink: Endpoint) -> Sink:
     from kinecast.ros.publisher import OUTPUTS, OutputOptions, PredictionPublisher
+    from kinecast.ros.transport import RosSink
 
     settings = sink.settings
     namespace = settings.get("namespace") if sink.kind == "bag" else sink.place
     outputs = tuple(settings["outputs"].split(",")) if "outputs" in settings else OUTPUTS
-    parts = sink.whole_number("parts", OutputOptions.parts)
-    thickness = sink.number("thickness", OutputOptions.thickness)
+    parts = whole_number(settings, "parts", OutputOptions.parts, sink.text)
+    thickness = number(settings, "thickness", OutputOptions.thickness, sink.text)
     topic = settings.get("planning_scene", "")
-    return PredictionPublisher(OutputOptions(namespace or "/kinecast", outputs, topic, parts, thickness))
+    publisher = PredictionPublisher(OutputOptions(namespace or "/kinecast", outputs, topic, parts, thickness))
+    return RosSink(sink.text, publisher, _transport(sink), MOST_WAITING if sink.kind == "bag" else ROOM)
 
 
 def _transport(endpoint: Endpoint) -> Transport:
+    from kinecast.ros.bags import BagWriter
     from kinecast.ros.dds import DdsTransport
     from kinecast.ros.messages import ros2_release
     from kinecast.ros.nodes import Ros1Transport, Ros2Transport
 
-    settings = endpoint.settings
-    if endpoint.kind != "dds":
-        return Ros1Transport() if endpoint.kind == "ros1" else Ros2Transport()
+    kind, settings = endpoint.kind, endpoint.settings
+    if kind in ("ros1", "ros2"):
+        return Ros1Transport() if kind == "ros1" else Ros2Transport()
+    where = f"{endpoint.text}: distro" if kind == "bag" else "dds: distro"
+    distribution = ros2_release(settings.get("distro", "jazzy"), where)
+    if kind == "bag":
+        return BagWriter(Path(endpoint.place), distribution, settings.get("storage", "mcap"))
     domain = settings.get("domain", os.environ.get("ROS_DOMAIN_ID", "0"))
     if not domain.isdecimal():
         raise OptionError(f"domain {domain!r} is no whole number")
-    distribution = ros2_release(settings.get("distro", "jazzy"), "dds: distro")
     return DdsTransport(distribution, int(domain), settings.get("network", ""))

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from tyro.conf import arg
 
 from kinecast import __version__
-from kinecast.cli.method_set import MethodSet, method_names, read_models, train_methods, windows_told
+from kinecast.body.limits import JointLimits
 from kinecast.cli.options import (
     Action,
     ClusterPlace,
@@ -25,14 +26,19 @@ from kinecast.cli.options import (
     check_seed,
     worker_pool,
 )
-from kinecast.cli.progress import compiling, progress_bar
-from kinecast.cli.recordings import read_recordings, unseen
+from kinecast.cli.progress import compiling, note, progress_bar
+from kinecast.cli.recordings import listed, read_recordings, unseen
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions
-from kinecast.errors import OptionError
+from kinecast.errors import ModelError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, warm_up
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.methods import SHIPPED
+from kinecast.pipeline import training_windows
+from kinecast.prediction.kinecast.model import Kinecast, ablations
+from kinecast.prediction.method import Method, shortened
+from kinecast.prediction.methods import SHIPPED, check_names, limits_of, read_method
+from kinecast.prediction.methods import train as train_all
+from kinecast.prediction.plugins import is_plugin, train_plugin
 from kinecast.tasks import Serial, Workers
 
 DEFAULT_METHODS = (
@@ -86,24 +92,25 @@ def evaluate(
     """
     import kinecast.evaluation.report  # noqa: F401 - drawing is an extra, whose lack is said before the work
 
-    _check_draws(samples, repeats)
     check_seed(seed)
     check_folder(out)
-    names = _methods_asked(train, model, methods, ablate)
+    scores = EvaluationOptions(samples, repeats, seed=seed)
+    names = _methods_asked(train, model, methods, ablate, scores)
     obstacles = None if scene is None else Scene.load(scene)
-    told = {"rate": rate, "window": window, "horizon": horizon}
+    given = {"rate": rate, "window": window, "horizon": horizon}
+    told: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     saved = read_models(model, told) if model else None
-    options = replace(saved.windows if saved else windows_told(told), stride=stride, label=label)
+    options = replace(saved.windows if saved else WindowOptions(**told), stride=stride, label=label)
     with worker_pool(cluster) as workers:
         tested = read_recordings(test, format, "--test")
         recordings, facts = _cut(tested, options, scene, workers)
         seen = [] if saved else unseen(read_recordings(train, format, "--train"), tested)
         compared = saved or train_methods(names, seen, options, obstacles, seed, workers)
-        compared.warn_of_known(tested)
-        facts = {"version": __version__, "train": compared.trained_on, "models": compared.files} | facts
-        compared = compared.with_ablations() if ablate else compared
-        scores = EvaluationOptions(samples=samples, repeats=repeats, seed=seed, limits=compared.limits)
-        _score(out, compared, recordings, obstacles, scores, facts, workers)
+        if known := [each.name for each in tested if saved and each.name in saved.trained_on]:
+            note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
+        facts |= {"version": __version__, "train": compared.trained_on, "models": compared.files}
+        parts = with_ablations(compared.methods) if ablate else compared.methods
+        _score(out, parts, recordings, obstacles, replace(scores, limits=compared.limits), facts, workers)
 
 
 def demo(out: Folder = Path("kinecast-demo")) -> None:
@@ -114,17 +121,17 @@ def demo(out: Folder = Path("kinecast-demo")) -> None:
     """
     with resources.as_file(resources.files("kinecast") / "data") as data:
         models = tuple(data / "models" / f"{name}.npz" for name in SHIPPED)
-        evaluate((data / "clips",), out, model=models, samples=200, repeats=2)
+        evaluate((data / "clips",), out, model=models, horizon=0.5, samples=200, repeats=2)
     print(f"pictures: {out / 'prediction.png'}, {out / 'prediction.gif'}")
 
 
-def _check_draws(samples: int, repeats: int) -> None:
-    if not 1 <= samples <= 100_000 or not 0 <= repeats <= 1000:
-        raise OptionError(f"samples {samples}, repeats {repeats}; allowed are 1..100000 and 0..1000")
-
-
-def _methods_asked(train: Sequence[Path], model: Sequence[Path], methods: str, ablate: bool) -> list[str]:
-    """Names of methods to train, where there are no models."""
+def _methods_asked(
+    train: Sequence[Path], model: Sequence[Path], methods: str, ablate: bool, scores: EvaluationOptions
+) -> list[str]:
+    """Names of methods to train, where there are no models; an OptionError for what cannot be asked."""
+    if not 1 <= scores.samples <= 100_000 or not 0 <= scores.repeats <= 1000:
+        allowed = "allowed are 1..100000 and 0..1000"
+        raise OptionError(f"samples {scores.samples}, repeats {scores.repeats}; {allowed}")
     if bool(train) == bool(model):
         raise OptionError("give either --train with recordings or --model with saved models")
     if model and methods != DEFAULT_METHODS:
@@ -132,6 +139,15 @@ def _methods_asked(train: Sequence[Path], model: Sequence[Path], methods: str, a
     names = method_names(methods)
     if ablate and not model and "kinecast" not in names:
         raise OptionError("--ablate takes kinecast apart: name it among --methods")
+    return names
+
+
+def method_names(text: str) -> list[str]:
+    """Names with commas between them, each once; OptionError if one is no method. MODULE:FUNCTION is one too."""
+    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    own = [name for name in names if not is_plugin(name)]
+    if own or not names:
+        check_names(own)
     return names
 
 
@@ -150,9 +166,83 @@ def _cut(
     return parts, facts
 
 
+class Compared(NamedTuple):
+    """Methods for the same windows."""
+
+    methods: Mapping[str, Method[Any]]  # by the name they are reported under
+    limits: JointLimits  # against which all their samples are counted
+    trained_on: Sequence[str]  # names of the recordings
+    windows: WindowOptions  # what they are made for
+    files: Mapping[str, str]  # that they were read from, by name
+
+
+def train_methods(
+    names: Sequence[str],
+    recordings: Sequence[Recording],
+    options: WindowOptions,
+    scene: Scene | None,
+    seed: int,
+    workers: Workers,
+) -> Compared:
+    """Methods trained on every window of recordings, as `kinecast train` does; those from elsewhere in this process.
+
+    A DatasetError, ModelError or OptionError for too few windows, or where what a function gives is no method.
+    """
+    with progress_bar("cutting windows") as progress:
+        data = training_windows(recordings, options, scene, progress, workers)
+    found = {name: train_plugin(name, data) for name in names if is_plugin(name)}
+    with progress_bar("training") as progress:
+        found |= train_all([name for name in names if name not in found], data, seed, progress, workers)
+    methods = {name: found[name] for name in names}
+    return Compared(methods, limits_of(data), [recording.name for recording in recordings], options, {})
+
+
+def read_models(paths: Sequence[Path], told: Mapping[str, Any]) -> Compared:
+    """Saved models, at least one, of one rate and window; what is told (`rate`, `window`, `horizon`) must be theirs.
+
+    They predict as far as told, or as the least of them does. A ModelError where a file is no model, or made for other
+    windows; an OptionError for windows that there are not.
+    """
+    cards, methods = zip(*map(read_method, paths), strict=True)
+    first = cards[0]
+    own = {
+        "rate": first.rate,
+        "window": first.frames / first.rate,
+        "horizon": min(card.steps / card.rate for card in cards),
+    }
+    options = WindowOptions(**{**own, **told})
+    wanted = (options.observed_steps, options.predicted_steps, options.rate)
+    frames = "{} frames seen and {} predicted at {:g} Hz"
+    for path, card in zip(paths, cards, strict=True):
+        made = (card.frames, card.steps, card.rate)
+        if made[::2] != wanted[::2] or made[1] < wanted[1]:
+            raise ModelError(f"{path}: made for {frames.format(*made)}, not {frames.format(*wanted)}")
+    methods = tuple(shortened(method, options.horizon) for method in methods)
+    named = [card.method for card in cards]
+    names = [f"{name} #{named[: k + 1].count(name)}" if named.count(name) > 1 else name for k, name in enumerate(named)]
+    # The least that every constrained model keeps, else those found in training.
+    held = [card.limits for card in cards if card.method == "kinecast" or card.method.endswith("_constrained")]
+    return Compared(
+        dict(zip(names, methods, strict=True)),
+        reduce(JointLimits.union, held or [first.limits]),
+        sorted({name for card in cards for name in card.trained_on}),
+        options,
+        dict(zip(names, map(str, paths), strict=True)),
+    )
+
+
+def with_ablations(methods: Mapping[str, Method[Any]]) -> dict[str, Method[Any]]:
+    """With, before `kinecast`, what is left of it with each stage switched off; OptionError if it is not there."""
+    whole = methods.get("kinecast")
+    if not isinstance(whole, Kinecast):
+        raise OptionError(f"--ablate takes kinecast apart; the methods are {', '.join(methods)}")
+    others = {name: method for name, method in methods.items() if method is not whole}
+    return others | {f"kinecast, {name}": part for name, part in ablations(whole).items()} | {"kinecast": whole}
+
+
 def _score(
     out: Path,
-    compared: MethodSet,
+    methods: Mapping[str, Method[Any]],
     recordings: Sequence[TestRecording],
     scene: Scene | None,
     options: EvaluationOptions,
@@ -161,7 +251,6 @@ def _score(
 ) -> None:
     from kinecast.evaluation.report import format_table, run_evaluation
 
-    methods = compared.methods
     if isinstance(workers, Serial):  # those of a cluster compile for themselves
         with compiling():
             warm_up(methods, recordings, scene, options)

@@ -8,24 +8,35 @@ import os
 import signal
 import sys
 import threading
+import time
 import webbrowser
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from rich.console import Group
+from rich.live import Live as Screen
 from rich.logging import RichHandler
+from rich.text import Text
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
 from kinecast.cli.options import ModelFile, OptionalFile, check_seed, read_predictor
-from kinecast.cli.progress import CONSOLE
+from kinecast.cli.progress import CONSOLE, columns, plain, status_lines
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.predictor import Predictor, PredictorOptions
+from kinecast.types import Status
 
 if TYPE_CHECKING:
     from kinecast.cli.endpoint import Endpoint
+    from kinecast.live.loop import Live
+    from kinecast.live.mailbox import Feed
+    from kinecast.live.sources import Source
+
+SILENT = 0.5  # after so long without a frame [s] a source is said to be silent
+PER_SECOND = 4  # the table in the terminal is drawn so often
 
 _ONCE_OR_MORE = "(once or more)"
 Texts = UseAppendAction[tuple[str, ...]]
@@ -65,7 +76,6 @@ def live(
         seed: of the draws.
     """
     from kinecast.cli.endpoint import opened, read_sink, read_source  # here, since network and MCAP are an extra
-    from kinecast.cli.live_display import shown, summary
     from kinecast.live.loop import Live
 
     check_seed(seed)
@@ -77,23 +87,38 @@ def live(
     cameras = None if rig is None else Rig.load(rig)
     options = PredictorOptions(samples=samples, seed=seed)
     first = read_predictor(model, obstacles, options)
-    with ExitStack() as last, _logged(), opened(inputs, outputs, cameras, obstacles) as (mailbox, comes, goes):
+    logging.getLogger("kinecast").handlers = [RichHandler(console=CONSOLE, show_path=False)]  # above the table
+    with ExitStack() as last, opened(inputs, outputs, cameras, obstacles) as (mailbox, comes, goes):
         loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), goes, level)
-        stop = last.enter_context(_until_told())  # until here, Ctrl-C ends it in the middle of what it opens
-        said = [f"source: {source.address}" for source in comes] + [f"sink: {sink.address}" for sink in goes]
-        print("\n".join([*said, "Ctrl-C ends it"]), flush=True)
-        gc.collect()
-        gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
-        last.callback(gc.unfreeze)
-        if not sinks and record is None:
-            _open_browser(goes[0].address)
-        with shown(loop):
-            for source in comes:
-                source.start()
-            loop.run(stop)
-    print(summary(loop))
+        _run(loop, comes, last, browser=not sinks and record is None)
+    print(plain(tables(loop, running=False)))
     if failures := [sink.counters.failure for sink in goes if sink.counters.failure is not None]:
         raise OSError("; ".join(failures))
+
+
+def _run(loop: Live, sources: Sequence[Source], last: ExitStack, browser: bool) -> None:
+    """Until the sources end, or Ctrl-C or SIGTERM: those end it in the middle of nothing any more; a second does."""
+    stop = threading.Event()
+
+    def tell(*_: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        last.callback(signal.signal, number, signal.signal(number, tell))
+    said = [f"source: {source.address}" for source in sources] + [f"sink: {sink.address}" for sink in loop.sinks]
+    print("\n".join([*said, "Ctrl-C ends it"]), flush=True)
+    gc.collect()
+    gc.freeze()  # what is there by now stays: looking through all of it would hold everything up for 0.1 s
+    last.callback(gc.unfreeze)
+    has_screen = sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    if browser and has_screen:
+        webbrowser.open(loop.sinks[0].address)
+    with shown(loop):
+        for source in sources:
+            source.start()
+        loop.run(stop)
 
 
 def _with_defaults(sinks: Sequence[str], record: Path | None, inputs: Sequence[Endpoint]) -> Sequence[str]:
@@ -106,12 +131,6 @@ def _with_defaults(sinks: Sequence[str], record: Path | None, inputs: Sequence[E
     return wanted or (("view://",) if cameras else ())
 
 
-def _open_browser(address: str) -> None:
-    """Shows a page where there is a screen to show it on."""
-    if sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
-        webbrowser.open(address)
-
-
 def _once(option: str, texts: Sequence[str]) -> Sequence[str]:
     """The same; OptionError unless there is at least one, and each once."""
     if not texts:
@@ -122,31 +141,39 @@ def _once(option: str, texts: Sequence[str]) -> Sequence[str]:
     return texts
 
 
-@contextmanager
-def _until_told() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or SIGTERM sets instead of ending the program in the middle of something; a second does."""
-    stop = threading.Event()
-
-    def tell(*_: object) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, tell) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def shown(loop: Live) -> Screen | nullcontext[None]:
+    """A table in the terminal while it runs; nothing where there is no terminal."""
+    if not CONSOLE.is_terminal:
+        return nullcontext()
+    return Screen(get_renderable=lambda: tables(loop), console=CONSOLE, refresh_per_second=PER_SECOND, transient=True)
 
 
-@contextmanager
-def _logged() -> Iterator[None]:
-    """What is logged goes to the terminal, above the table."""
-    handler = RichHandler(console=CONSOLE, show_path=False)
-    logger = logging.getLogger("kinecast")
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
+def tables(loop: Live, running: bool = True) -> Group:
+    """One table for what comes, one for what goes, one line for each status."""
+    comes = columns("source", "status", numbers="frames,stale,refused,clients,clock [s],set")
+    for feed in loop.mailbox.feeds:
+        counts = (feed.received, feed.superseded, feed.refused, feed.clients)
+        clock = "same" if feed.difference is None else f"{feed.difference:+.3f}"
+        comes.add_row(Text(feed.name), _state(loop, feed, running), *map(str, counts), clock, str(feed.clock_jumps))
+    goes = columns("sink", numbers="published,dropped,p50 [ms],p99 [ms]")
+    for sink in loop.sinks:
+        counters = sink.counters
+        latencies = (f"{1e3 * counters.latency(share):.1f}" if counters.published else "–" for share in (0.5, 0.99))
+        goes.add_row(Text(sink.address), str(counters.published), str(counters.dropped), *latencies)
+    lines = map(Text, status_lines(loop.statuses.copy()))
+    return Group(comes, Text(), goes, Text(), *lines)
+
+
+def _state(loop: Live, feed: Feed, running: bool) -> Text:
+    """The status of the newest prediction, or why there is none."""
+    status = loop.last.get(feed)
+    if feed.ended or not running:
+        return Text("ended" if feed.ended else "–", "dim")
+    if feed.last is None or (status is None and not feed.fused):
+        return Text("waiting", "yellow")
+    silence = time.monotonic() - feed.last
+    if silence > SILENT:
+        return Text(f"silent for {silence:.0f} s", "red")
+    if status is None:
+        return Text("fused", "green")
+    return Text(status.name, "green" if status is Status.OK else "yellow")

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
 
 from kinecast.types import Status
 
@@ -37,6 +39,14 @@ def compiling() -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+def columns(*words: str, numbers: str) -> Table:
+    """An empty table: columns of words, then of numbers, whose titles have commas between them."""
+    table = Table(*words, box=None, pad_edge=False)
+    for title in numbers.split(","):
+        table.add_column(Text(title), justify="right")
+    return table
 
 
 def plain(what: RenderableType) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +17,18 @@ from kinecast.datasets.loading import FORMATS, Format, load_all
 from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-PROFILE = slice(21, 25)  # where an MCAP file of ROS 2 says that it is one
-BAG1_MAGIC = b"#ROSBAG V2.0"
-BAG2_START = b"rosbag2_bagfile_information"
 
-
-def _is_mcap(path: Path) -> bool:
-    return path.is_file() and head(path).startswith(MCAP_MAGIC)
-
-
-def _is_jsonl(path: Path) -> bool:
-    return path.is_file() and head(path).lstrip().startswith(b"{")
-
-
-def _is_bag(path: Path) -> bool:
-    """Of ROS 1, or a folder or an MCAP file of ROS 2."""
+def _is(format: str, path: Path) -> bool:
+    """Whether a file or folder begins as one of this format."""
     if path.is_dir():
         about = path / "metadata.yaml"
-        return about.is_file() and head(about).startswith(BAG2_START)
+        return format == "bag" and about.is_file() and head(about).startswith(b"rosbag2_bagfile_information")
     start = head(path) if path.is_file() else b""
-    return start.startswith(BAG1_MAGIC) or (start.startswith(MCAP_MAGIC) and start[PROFILE] == b"ros2")
+    if start.startswith(b"\x89MCAP0\r\n"):
+        return format == ("bag" if start[21:25] == b"ros2" else "mcap")  # the profile in its header
+    if format == "bag":
+        return start.startswith(b"#ROSBAG V2.0")
+    return format == "jsonl" and start.lstrip().startswith(b"{")
 
 
 def _lazily(module: str, function: str) -> Callable[..., Any]:
@@ -48,10 +40,9 @@ def _lazily(module: str, function: str) -> Callable[..., Any]:
     return call
 
 
-MORE_FORMATS = (
-    Format("bag", _is_bag, _lazily("ros.bags", "load")),
-    Format("mcap", _is_mcap, _lazily("live.mcap_file", "load")),
-    Format("jsonl", _is_jsonl, _lazily("live.message_file", "load")),
+MORE_FORMATS = tuple(
+    Format(name, partial(_is, name), _lazily(module, "load"))
+    for name, module in (("bag", "ros.bags"), ("mcap", "live.mcap_file"), ("jsonl", "live.message_file"))
 )
 FORMAT_NAMES = tuple(sorted((*FORMATS, *(each.name for each in MORE_FORMATS))))
 WRITERS: Mapping[str, Callable[[Path, Sequence[Recording]], None]] = {

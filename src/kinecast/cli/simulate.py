@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from rich.table import Table
-from rich.text import Text
 from tyro.conf import arg
 
 from kinecast import __version__
 from kinecast.cli.options import Switch, check_folder, check_seed
-from kinecast.cli.progress import compiling, plain
+from kinecast.cli.progress import columns, compiling, plain
 from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from kinecast.robot.simulation import Simulation
     from kinecast.types import Decision
 
-SYNTHETIC = "synthetic"
+SYNTHETIC, RECORDED = "synthetic", "recorded person"
 OUT = Path("kinecast-simulate")
 
 ScenarioName = Annotated[
@@ -85,14 +84,12 @@ def simulate(
         check_folder(out or OUT)
     config = SimulationConfig(person, cell, seed, samples)
     if view:
-        from kinecast.cli.view import serve  # here, since the view is an extra
-
-        serve(host, port, names[0], predictor, config, out)
+        _serve(host, port, names[0], predictor, config, out)
         return
     out = out or OUT
-    episodes = {name: config.play(name, predictor) for name in names}
+    episodes = {name: _play(config, name, predictor) for name in names}
     config.write(out, episodes, scenario, predictor)
-    print(closing_table(episodes))
+    print(_table(episodes))
     print(f"decisions: {out / 'episode.json'}")
     print(f"pictures: {out / 'storyboard.png'}, and a GIF and a timeline of each scenario beside it")
 
@@ -129,18 +126,6 @@ class SimulationConfig:
         with compiling():
             return simulate_scenario(scenario, predictor, self.seed, self.samples, self.player, body, self.cell)
 
-    def play(self, scenario: str, predictor: str) -> tuple[Episode, Outcome]:
-        """Runs a scenario, and prints the decisions as they fall."""
-        from kinecast.robot.collaboration import SCENARIOS
-        from kinecast.robot.outcome import outcome_of
-
-        simulation = self.simulation(scenario, predictor)
-        print(f"{scenario}: {SCENARIOS[scenario].about if self.player is None else 'a recorded person'}")
-        for command in simulation.steps():
-            if command.news:
-                print(sentence(command.decision), flush=True)
-        return simulation.episode, outcome_of(simulation.episode, simulation.people, simulation.cell)
-
     def write(
         self, out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], scenario: str, predictor: str, **more: object
     ) -> None:
@@ -159,17 +144,66 @@ class SimulationConfig:
             draw_timeline(out / f"{name}_timeline.png", episode, f"{name}: {predictor}")
 
 
-def sentence(decision: Decision) -> str:
+def _play(config: SimulationConfig, scenario: str, predictor: str) -> tuple[Episode, Outcome]:
+    """Runs a scenario, and prints the decisions as they fall."""
+    from kinecast.robot.collaboration import SCENARIOS
+    from kinecast.robot.outcome import outcome_of
+
+    simulation = config.simulation(scenario, predictor)
+    print(f"{scenario}: {SCENARIOS[scenario].about if config.player is None else 'a recorded person'}")
+    for command in simulation.steps():
+        if command.news:
+            _tell(command.decision)
+    return simulation.episode, outcome_of(simulation.episode, simulation.people, simulation.cell)
+
+
+def _serve(host: str, port: int, scenario: str, predictor: str, config: SimulationConfig, out: Path | None) -> None:
+    """Simulates and shows in the browser until Ctrl-C; what finished runs leave goes to a folder, if there is one.
+
+    An OptionError where nothing can listen there, or for no such predictor.
+    """
+    from kinecast.robot.body import OccupancyOptions
+    from kinecast.robot.collaboration import PREDICTORS, SCENARIOS
+    from kinecast.robot.outcome import outcome_of
+    from kinecast.view.playback import Setting, Simulations
+    from kinecast.view.viewer import Viewer
+
+    if predictor not in PREDICTORS:
+        raise OptionError(f"--predictor {predictor}: allowed are {', '.join(PREDICTORS)}")
+    played = {RECORDED: scenario} if config.player is not None else {name: name for name in SCENARIOS}
+
+    def make(setting: Setting) -> Simulation:
+        print(f"{setting.scenario}, {setting.predictor}, {100 * setting.level:g} %", flush=True)
+        body = OccupancyOptions(level=setting.level)
+        return config.simulation(played[setting.scenario], setting.predictor, body)
+
+    def end(setting: Setting, simulation: Simulation) -> str:
+        outcome = outcome_of(simulation.episode, simulation.people, simulation.cell)
+        episodes = {setting.scenario: (simulation.episode, outcome)}
+        print(_table(episodes), flush=True)
+        if out is not None:
+            config.write(out, episodes, setting.scenario, setting.predictor, level=setting.level)
+        contacts = "no contact" if outcome.contacts == 0 else f"{outcome.contacts} contacts"
+        return f"{outcome.result} after {outcome.time_to_done:.1f} s, {contacts}"
+
+    first = Setting(RECORDED if RECORDED in played else scenario, predictor)
+    with closing(
+        Viewer(host, port, first, Simulations(tuple(played), PREDICTORS, config.cell, make, _tell, end))
+    ) as it:
+        print(f"view: {it.url} (Ctrl-C ends it)", flush=True)
+        with suppress(KeyboardInterrupt):
+            it.serve()
+
+
+def _tell(decision: Decision) -> None:
     """One decision in a line."""
     reaction = "" if decision.reaction is None else f"[{decision.reaction.name.lower().replace('_', ' ')}] "
-    return f"{decision.stamp:7.2f} s  {decision.state.name.lower():10}  {reaction}{decision.reason}"
+    print(f"{decision.stamp:7.2f} s  {decision.state.name.lower():10}  {reaction}{decision.reason}", flush=True)
 
 
-def closing_table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:
+def _table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:
     """The figures of every scenario."""
-    table = Table("", "result", box=None, pad_edge=False)
-    for title in ("contacts", "least [m]", "done [s]", "stops", "replans", "p50 [ms]", "p99 [ms]"):
-        table.add_column(Text(title), justify="right")
+    table = columns("", "result", numbers="contacts,least [m],done [s],stops,replans,p50 [ms],p99 [ms]")
     for name, (_, outcome) in episodes.items():
         least = f"{outcome.least_distance:.2f}" if np.isfinite(outcome.least_distance) else "–"
         counts = (outcome.contacts, least, f"{outcome.time_to_done:.1f}", outcome.stops, outcome.replans)

@@ -33,7 +33,6 @@ class Live:
     failures: int = 0  # frames whose prediction could not be published
 
     def __post_init__(self, make_predictor: Callable[[], Predictor]) -> None:
-        self._published = 0
         self._predictors = {feed: make_predictor() for feed in self.mailbox.feeds}
 
     def run(self, stop: threading.Event) -> None:
@@ -45,16 +44,14 @@ class Live:
 
     def step(self, arrival: Arrival) -> None:
         """One frame, start to end; whatever happens, it does not raise."""
-        feed, frame = arrival.feed, arrival.frame
+        feed, frame, acquired = arrival.feed, arrival.frame, arrival.acquired
         try:
-            delay = max(time.monotonic() - arrival.acquired, 0.0)
+            delay = max(time.monotonic() - acquired, 0.0)
             prediction = self._predictors[feed].observe(frame, frame.stamp + delay * arrival.pace)
             self.statuses[prediction.status] += 1
             self.last[feed] = prediction.status
-            publication = Publication.of(
-                self._published + 1, feed.name, frame, prediction, self.level, arrival.acquired
-            )
-            self._published += 1
+            number = self.statuses.total()
+            publication = Publication.of(number, feed.name, frame, prediction, self.level, acquired)
             for sink in self.sinks:
                 sink.publish(publication)
         except Exception:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -115,18 +116,12 @@ class RecordedSource:
 
     def _play(self) -> None:
         begun = time.monotonic()
-        for after, frame in self._due():
-            due = begun + after
-            if self._stop.wait(max(due - time.monotonic(), 0.0)):
-                break
-            self.feed.put(frame, due, self.speed)
-        self.feed.end()
-
-    def _due(self) -> Iterator[tuple[float, SkeletonFrame]]:
-        """Every frame, and how long after the beginning it is due [s]."""
         first, last = self.frames[0].stamp, self.frames[-1].stamp
         period = (last - first) * len(self.frames) / max(len(self.frames) - 1, 1)
-        for turn in range(self.repeat):
-            for frame in self.frames:
-                stamp = frame.stamp + turn * period
-                yield (stamp - first) / self.speed, replace(frame, stamp=stamp) if turn else frame
+        for turn, frame in itertools.product(range(self.repeat), self.frames):
+            stamp = frame.stamp + turn * period
+            due = begun + (stamp - first) / self.speed
+            if self._stop.wait(max(due - time.monotonic(), 0.0)):
+                break
+            self.feed.put(replace(frame, stamp=stamp), due, self.speed)
+        self.feed.end()

@@ -103,31 +103,6 @@ def _read(content: bytes) -> _Datagram | None:
     return _Datagram(kind, sample, counter & ~_LAST, last, milliseconds, character, segments, positions)
 
 
-class _Sample:
-    """What has come of one character's pose."""
-
-    def __init__(self, milliseconds: int) -> None:
-        self.milliseconds = milliseconds
-        self.positions = np.full((BODY, 3), np.nan)
-        self._come = np.zeros(BODY, dtype=bool)
-        self._parts: set[int] = set()
-        self._wanted: int | None = None
-
-    def add(self, datagram: _Datagram) -> bool:
-        """Whether no segment of the body can come any more; fingers and props are not waited for."""
-        if datagram.milliseconds != self.milliseconds:
-            raise MessageError(f"sample {datagram.sample} has two time codes")
-        if datagram.part not in self._parts:
-            if self._come[datagram.segments].any():
-                raise MessageError(f"sample {datagram.sample} has a segment twice")
-            self._parts.add(datagram.part)
-            self._come[datagram.segments] = True
-            self.positions[datagram.segments] = datagram.positions
-            if datagram.last:
-                self._wanted = datagram.part + 1
-        return bool(self._come.all()) or self._wanted == len(self._parts)
-
-
 class _Character:
     """One character's samples as they become whole."""
 
@@ -136,29 +111,39 @@ class _Character:
         self.heard = 0.0
         self.scale = 1.0
         self.milliseconds: int | None = None
-        self.pending: dict[int, _Sample] = {}
+        self.pending: dict[int, dict[int, _Datagram]] = {}  # parts, by sample
         self._out: deque[int] = deque(maxlen=8)
 
-    def add(self, datagram: _Datagram) -> tuple[_Sample | None, int]:
-        """Takes in a part; the sample that goes out now, and how many never will."""
-        number = datagram.sample
+    def add(self, new: _Datagram) -> tuple[list[_Datagram], int]:
+        """Takes in a part; all parts of the sample that goes out now, and how many samples never will.
+
+        A sample goes out once no segment of the body can come any more: fingers and props are not waited for.
+        """
+        number = new.sample
         if number in self._out:
-            return None, 0  # sent twice, or fingers of a body that is out
+            return [], 0  # sent twice, or fingers of a body that is out
         if self._out and _ahead(self._out[-1], number) <= REORDERED:
             raise MessageError(f"sample {number} came after sample {self._out[-1]}")
-        sample = self.pending.setdefault(number, _Sample(datagram.milliseconds))
+        parts = self.pending.setdefault(number, {})
+        for other in parts.values():
+            if other.milliseconds != new.milliseconds:
+                raise MessageError(f"sample {number} has two time codes")
+            if other.part != new.part and np.isin(other.segments, new.segments).any():
+                raise MessageError(f"sample {number} has a segment twice")
+        parts.setdefault(new.part, new)
         lost = 0
-        if sample.add(datagram):
+        whole = sum(len(each.segments) for each in parts.values()) == BODY
+        if whole or any(each.last and each.part + 1 == len(parts) for each in parts.values()):
             kept = {k: other for k, other in self.pending.items() if k != number and _ahead(k, number) <= REORDERED}
             lost = len(self.pending) - 1 - len(kept)
             self.pending = kept
         elif len(self.pending) > MOST_PENDING:
             number = next(iter(self.pending))
-            sample = self.pending.pop(number)
+            parts = self.pending.pop(number)
         else:
-            return None, 0
+            return [], 0
         self._out.append(number)
-        return sample, lost
+        return list(parts.values()), lost
 
 
 def _ahead(number: int, other: int) -> int:
@@ -187,11 +172,11 @@ class XsensGuard(SenderGuard):
             character = self._character((sender, datagram.character), datagram.kind, arrived)
             if character.kind != datagram.kind:
                 return  # the same pose, said in another way
-            sample, lost = character.add(datagram)
+            parts, lost = character.add(datagram)
             for _ in range(lost):
                 self._feed.refuse("a sample is incomplete: a datagram was lost")
-            if sample is not None:
-                self.admit(self._frame(character, sample, str(datagram.character), arrived), sender, arrived)
+            if parts:
+                self.admit(self._frame(character, parts, arrived), sender, arrived)
         except MessageError as problem:
             self._feed.refuse(str(problem))
 
@@ -205,19 +190,22 @@ class XsensGuard(SenderGuard):
         self.characters[key].heard = arrived
         return self.characters[key]
 
-    def _frame(self, character: _Character, sample: _Sample, person: str, arrived: float) -> SkeletonFrame:
-        if not self._options.by_arrival and sample.milliseconds == character.milliseconds:
+    def _frame(self, character: _Character, parts: list[_Datagram], arrived: float) -> SkeletonFrame:
+        milliseconds = parts[0].milliseconds
+        if not self._options.by_arrival and milliseconds == character.milliseconds:
             raise MessageError("the time code stands still; ?stamps=arrival takes frames as they come")
-        character.milliseconds = sample.milliseconds
-        arms = sample.positions[_UPPER_ARMS]
-        lengths = np.linalg.norm(arms[:, 0] - arms[:, 1], axis=1)
+        character.milliseconds = milliseconds
+        positions = np.full((BODY, 3), np.nan)
+        for each in parts:
+            positions[each.segments] = each.positions
+        lengths = np.linalg.norm(np.diff(positions[_UPPER_ARMS], axis=1), axis=2)
         if np.isfinite(lengths).any():
             character.scale = 0.01 if np.nanmax(lengths) > CENTIMETRES else 1.0
-        positions = character.scale * sample.positions
+        positions *= character.scale
         farthest = np.abs(positions).max(initial=0.0, where=np.isfinite(positions))
         if farthest > FARTHEST:
             raise MessageError(f"a segment is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
         if self._options.up == "y" or (self._options.up is None and character.kind == _EULER):
             positions = from_y_up(positions)
-        stamp = arrived if self._options.by_arrival else sample.milliseconds / 1000
-        return SkeletonFrame(stamp, XSENS_23.joints, positions, person)
+        stamp = arrived if self._options.by_arrival else milliseconds / 1000
+        return SkeletonFrame(stamp, XSENS_23.joints, positions, str(parts[0].character))

@@ -158,6 +158,23 @@ def test_a_full_disc_is_said_once_and_ends_nothing(predictor: Predictor, caplog:
     assert len(caplog.records) == 1
 
 
+def test_a_fault_costs_one_is_logged_once_and_percentiles_are_known_to_half_a_millisecond(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    counters = SinkCounters("sink", "drawn", OSError)
+    assert [counters.attempt(int, text) for text in ("odd", "odd", "1")] == [False, False, True]
+    assert caplog.text.count("sink: a prediction could not be drawn") == 1
+    assert np.isnan(counters.latency(0.5))
+    latencies = np.random.default_rng(0).exponential(0.02, 5000)
+    for latency in latencies:
+        counters.sent(float(latency))
+    for share in (0.5, 0.99):
+        assert 0 <= counters.latency(share) - np.quantile(latencies, share, method="inverted_cdf") <= 0.5e-3
+    counters.sent(1e9)
+    assert counters.latency(1.0) == np.inf
+    assert counters.published == 5001
+
+
 @pytest.fixture
 def network() -> Iterator[Network]:
     network = Network()
@@ -254,7 +271,7 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
     for k in range(150):
         frame = SkeletonFrame(k / 30, ARM_JOINTS, REST + 0.02 * np.sin(k / 5), "0")
         camera.put(frame, now)
-        for _ in range(3):
+        for _ in range(2):
             now += rng.choice((0.0, 0.01, 1.0))
             scale = 1.0 if k % 40 < 25 else rng.choice((0.0, 1e-6, 1.0, 30.0))
             stamp = (0.0, 1e9, -50.0, 9e10)[k // 40] + rng.choice((k / 30, k / 30, k / 30, 0.0))
@@ -269,9 +286,9 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
         np.testing.assert_array_equal(mine.prediction.mean, alone.observe(frame).mean)
     assert live.failures == 0
     assert liar.refused == 0
-    assert liar.received > 400
+    assert liar.received == 300
     assert len({each.prediction.status for each in taken if each.source == "liar"}) > 3
-    for each in taken:
+    for each in taken[::2]:
         fits(json.loads(json.dumps(scene_update(each, 0.0), allow_nan=False)), SCENE_UPDATE)
         json.loads(each.json)
 

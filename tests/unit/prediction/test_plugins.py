@@ -7,7 +7,7 @@ from pathlib import Path
 import jaxtyping
 import pytest
 
-from kinecast.cli.method_set import method_names
+from kinecast.cli.evaluate import method_names
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.methods import read_method
 from kinecast.prediction.observation import TrainingWindows

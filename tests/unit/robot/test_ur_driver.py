@@ -14,7 +14,7 @@ import pytest
 from benchmarks import rtde_server, ur_driver
 from benchmarks.rtde_server import EMERGENCY, NORMAL, PROTECTIVE, READY, Controller, python_of
 
-from kinecast.cli import main
+from kinecast.cli import commands
 from kinecast.errors import ArmError, OptionError
 from kinecast.robot.rtde import Rtde
 from kinecast.robot.ur5 import UR5
@@ -323,7 +323,7 @@ def test_end_and_local_are_all_that_is_translated() -> None:
 def dry_run(controller: Controller, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
     code = 0
     try:
-        main(["robot", "--driver", f"ur:127.0.0.1:{controller.port}", "--dry-run"])
+        commands.run(["robot", "--driver", f"ur:127.0.0.1:{controller.port}", "--dry-run"])
     except SystemExit as stopped:
         code = int(stopped.code or 0)
     out, error = capsys.readouterr()
@@ -363,7 +363,7 @@ def test_a_dry_run_checks_and_changes_nothing(
 )
 def test_wrong_options_are_said(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
-        main(["robot", "--driver", *words])
+        commands.run(["robot", "--driver", *words])
     assert stopped.value.code == 2
     assert message in " ".join(capsys.readouterr().err.split())
 
