@@ -249,23 +249,20 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
 
     cell = Cell()
 
-    class SliderExecutor(Executor):
-        """Goes on as slowly as the speed slider says, so that the arm can follow."""
-
-        def step(self, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return super().step(scale * driver.reading.speed_fraction)
-
     per_step = max(round(STEP / driver.dt), 1)
-    q = driver.state().q
+    driver.wait()
+    q = driver.reading.q
     with closing(ThreadPlanner(Chooser(Planner(arm, cell.scene), cell).choose)) as planner:
-        supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), planner)
-        closed, newest = driver.state().closed, 0.0
+        executor = Executor(arm, per_step * driver.dt, q)
+        supervisor = Supervisor(arm, cell, executor, planner)
+        closed, newest = driver.gripped, 0.0
         driver.resume()
         while driver.status is ArmStatus.OK and not supervisor.done and not people.ended:
             now = time.monotonic()
             for frame, prediction in people.seen():  # a shot each: two of one instant would pass for the same one
                 newest = max(frame.stamp, newest + 1e-6)
                 supervisor.see(CameraFrame(newest, now, (frame,)), [prediction], now)
+            executor.slider = driver.reading.speed_fraction
             command = supervisor.control(now)
             if command.news:
                 yield f"{command.decision.state.name.lower():10}  {command.decision.reason}"

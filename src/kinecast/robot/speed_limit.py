@@ -130,10 +130,9 @@ class SpeedHysteresis:
         self._now = 0.0
         self._level_since = self._reason_since = -float("inf")
 
-    def begin(self, at_rest: bool) -> None:
-        """On a new path; from rest it begins gently by itself."""
-        if at_rest:
-            self.speed = 1.0
+    def begin(self) -> None:
+        """On a new path, which begins gently by itself."""
+        self.speed = 1.0
         self.level, self._level_since = Level.FULL, self._now
 
     def update(self, limit: SpeedLimit, most: float, now: float) -> None:

@@ -152,7 +152,7 @@ class Supervisor:
         except Exception as error:
             log.exception("control failed at %r", now)
             decision = Decision(now, RobotState.STOPPED, f"Its control failed: {error}.", self.target, speed=0.0)
-        q, _, _ = self.executor.step(decision.speed)
+        q = self.executor.step(decision.speed)
         last = self._decision
         news = decision.reaction is not None or (decision.state, decision.target, decision.reason) != (
             last.state, last.target, last.reason,
@@ -281,7 +281,7 @@ class Supervisor:
 
     def _follow(self, trajectory: Trajectory) -> None:
         self._trajectory, self._purpose, self._next = trajectory, self.step, None
-        self._going.begin(at_rest=not self.executor.qd.any())
+        self._going.begin()
         self.executor.follow(trajectory)
 
     # Plans

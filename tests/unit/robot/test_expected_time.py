@@ -80,7 +80,7 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     still = np.zeros_like(person[0]), np.zeros_like(person[0])
     rate = 1.0
     while not executor.done and steps < 2000:
-        before = executor.progress
+        before = trajectory.duration - executor.remaining
         ahead = trajectory.at(before + np.array([0.0, 1e-3]))[0]
         capsules = arm.capsules(ahead)
         links = capsules.start[0], capsules.end[0], capsules.radius
