@@ -177,9 +177,8 @@ class Rtde:
         answer = self._ask(kind, before + ",".join(names).encode())
         types = answer[1:].decode("ascii", "replace").split(",")
         if types != list(names.values()):
-            wrong = [
-                f"{name} as {found}" for (name, each), found in zip(names.items(), types, strict=False) if each != found
-            ]
+            pairs = zip(names, types, strict=False)
+            wrong = [f"{name} as {found}" for name, found in pairs if found != names[name]]
             raise ArmError(f"{self._where}: gives {', '.join(wrong) or 'not what it is asked for'}")
         return answer[0], struct.Struct(">B" + "".join(_FORMATS[each] for each in types))
 

@@ -75,7 +75,7 @@ def trouble(reading: Reading) -> ArmStatus | None:
 
 @dataclass
 class CycleCounters:
-    """What became of the controller's cycles: `cycles` = `sent` + those without a target, each for one of three causes."""
+    """What became of the controller's cycles: each was `sent`, or is without a target for one of three causes."""
 
     cycles: int = 0  # since the connection was opened
     sent: int = 0  # a target, or the order to stand, was written in it
