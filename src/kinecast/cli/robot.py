@@ -261,7 +261,7 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
             now = time.monotonic()
             for frame, prediction in people.seen():  # a shot each: two of one instant would pass for the same one
                 newest = max(frame.stamp, newest + 1e-6)
-                supervisor.see(CameraFrame(newest, now, (frame,)), [prediction], now)
+                supervisor.see(CameraFrame(newest, (frame,)), [prediction], now)
             executor.slider = driver.reading.speed_fraction
             command = supervisor.control(now)
             if command.news:

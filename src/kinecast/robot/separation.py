@@ -19,8 +19,14 @@ from jaxtyping import Float
 from numba import njit
 
 from kinecast.errors import OptionError
+from kinecast.robot.body import BodyCapsules
+from kinecast.robot.ur5 import LinkCapsules
 
-__all__ = ["Separation", "SeparationOptions", "allowed_speed", "closest_points", "separation"]
+__all__ = ["Moving", "Separation", "SeparationOptions", "allowed_speed", "closest_points", "moving", "separation"]
+
+Rows = Float[np.ndarray, "_ 3"]
+Moving = tuple[Rows, Rows, Float[np.ndarray, " _"], Rows, Rows]
+"""K capsules: start and end (K, 3) [m], radius (K,) [m], velocities of start and end (K, 3) [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -72,45 +78,42 @@ class Separation:
         required: S_p at the present speed of the pair of capsules with the least margin [m].
         margin: least d − S_p over all pairs [m].
         scale: share of the present speed at which d ≥ S_p for every pair, 0..1; 1 where it may go on or draws back.
-        link: the arm's capsule of that pair, −1 without a person.
     """
 
     distance: float = math.inf
     required: float = 0.0
     margin: float = math.inf
     scale: float = 1.0
-    link: int = -1
+
+
+def moving(capsules: LinkCapsules | BodyCapsules, seconds: float) -> Moving:
+    """The first of two sets of capsules (2, K), as fast as it becomes the second in so long [s]."""
+    (start, later), (end, end_later) = capsules.start, capsules.end
+    return start, end, capsules.radius, (later - start) / seconds, (end_later - end) / seconds
 
 
 def separation(
-    arm: tuple[Float[np.ndarray, "L 3"], Float[np.ndarray, "L 3"], Float[np.ndarray, " L"]],
-    arm_velocity: tuple[Float[np.ndarray, "L 3"], Float[np.ndarray, "L 3"]],
-    person: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"], Float[np.ndarray, " K"]],
-    person_velocity: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]],
-    age: Float[np.ndarray, " K"],
+    arm: Moving,
+    person: Moving,
     options: SeparationOptions,
-    person_velocity_now: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]] | None = None,
+    age: Float[np.ndarray, " K"] | None = None,
+    person_now: tuple[Rows, Rows] | None = None,
 ) -> Separation:
     """Compares every capsule of the arm with every capsule of the persons.
 
     Args:
-        arm: start, end [m] and radius [m] of its capsules.
-        arm_velocity: of their starts and ends at full speed [m/s].
-        person: capsules of all persons; one that is NaN is left out: nobody knows where it is.
-        person_velocity: of their starts and ends [m/s]; NaN where it is not known.
-        age: (K,) of the measurements [s].
+        arm: its capsules.
+        person: those of all persons; one that is NaN is left out: nobody knows where it is. A velocity that is NaN is
+            not known.
         options: see SeparationOptions.
-        person_velocity_now: another estimate: the one that is faster towards the arm counts; NaN where there is none.
+        age: (K,) of the measurements [s]; 0 by default.
+        person_now: other estimates of the velocities: the one that is faster towards the arm counts; NaN where there is
+            none.
     """
     o = options
-    now = person_velocity if person_velocity_now is None else person_velocity_now
-    result = _separation(
-        *arm, *arm_velocity, *person, *person_velocity, *now, age,
-        o.reaction, o.braking, o.unknown_speed, o.least_speed, o.constant, o.oldest,
-        o.across,
-    )  # fmt: skip
-    distance, required, margin, scale, link = result
-    return Separation(float(distance), float(required), float(margin), float(scale), int(link))
+    age = np.zeros(len(person[2])) if age is None else age
+    constants = o.reaction, o.braking, o.unknown_speed, o.least_speed, o.constant, o.oldest, o.across
+    return Separation(*map(float, _separation(*arm, *person, *(person_now or person[3:]), age, *constants)))
 
 
 @njit(cache=True)
@@ -152,10 +155,10 @@ def allowed_speed(room: float, human: float, reaction: float, braking: float) ->
 @njit(cache=True)
 @no_type_check
 def _separation(
-    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, wb0, wb1, age,
-    reaction, braking, unknown, least, constant, oldest, across,
+    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, wb0, wb1, age, reaction, braking, unknown, least, constant, oldest,
+    across,
 ):  # fmt: skip
-    nearest, worst, required, scale, link = np.inf, np.inf, 0.0, 1.0, -1
+    nearest, worst, required, scale = np.inf, np.inf, 0.0, 1.0
     for i in range(len(ar)):
         for j in range(len(br)):
             s, t = closest_points(a0[i], a1[i], b0[j], b1[j])
@@ -184,7 +187,7 @@ def _separation(
             needed = fixed + human * robot / braking + robot * reaction + robot * robot / (2 * braking)
             nearest = min(nearest, distance)
             if distance - needed < worst:
-                worst, required, link = distance - needed, needed, i
+                worst, required = distance - needed, needed
             if robot > 1e-6 and distance < needed:
                 scale = min(scale, allowed_speed(distance - fixed, human, reaction, braking) / robot)
-    return nearest, required, worst, scale, link
+    return nearest, required, worst, scale

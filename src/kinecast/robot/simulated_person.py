@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from kinecast.errors import OptionError
 from kinecast.robot.body import TRUE_BODY, body_capsules
-from kinecast.robot.separation import SeparationOptions, separation
-from kinecast.robot.ur5 import LinkCapsules
+from kinecast.robot.separation import Moving, SeparationOptions, moving, separation
 
 __all__ = ["Person", "PlayedPerson", "ReactivePerson"]
 
@@ -88,8 +87,8 @@ class ReactivePerson:
         (before, end), (first, last) = self._times[after - 1 : after + 1], self._clocks[after - 1 : after + 1]
         return first + (last - first) / (end - before) * max(time - before, 0.0)
 
-    def mind(self, arm: LinkCapsules, now: float) -> None:
-        """Looks at where the arm is now (N = 1), and slows down if it is in the way."""
+    def mind(self, arm: Moving, now: float) -> None:
+        """Looks at where the arm is now, and slows down if it is in the way."""
         clock = self._clock(now)
         self._times.append(now)
         self._clocks.append(clock)
@@ -103,7 +102,8 @@ class ReactivePerson:
         wish = -1.0 if back else 1.0
         here, soon = self.person.at(clock), self.person.at(clock + wish * FORESIGHT)
         if here is not None and soon is not None:
-            near, later = (self._distance(pose, arm) for pose in (here, soon))
+            bodies = (body_capsules(self.joints, np.stack([pose, pose]), TRUE_BODY) for pose in (here, soon))
+            near, later = (separation(arm, moving(body, 1.0), SeparationOptions()).distance for body in bodies)
             blocked = later < MARGIN and later < near
             if not back and not blocked:
                 self._blocked_since = None
@@ -112,15 +112,6 @@ class ReactivePerson:
             wish = 0.0 if blocked else wish
         step = CHANGE * (now - self._times[-2])
         self._rate = min(max(wish, self._rate - step), self._rate + step)
-
-    def _distance(self, pose: Float[np.ndarray, "J 3"], arm: LinkCapsules) -> float:
-        """From the body to the arm [m]."""
-        body = body_capsules(self.joints, pose, TRUE_BODY)
-        still, resting = np.zeros_like(body.start), np.zeros_like(arm.start[0])
-        return separation(
-            (arm.start[0], arm.end[0], arm.radius), (resting, resting), (body.start, body.end, body.radius),
-            (still, still), np.zeros(len(body.radius)), SeparationOptions(),
-        ).distance  # fmt: skip
 
 
 Person = PlayedPerson | ReactivePerson

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule
+from kinecast.robot.camera import Camera, CameraFrame
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.planner import Planner
+from kinecast.robot.simulated_person import Person
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, Status
 
@@ -42,6 +47,23 @@ def planner(arm: UR5, table: Scene) -> Planner:
 @pytest.fixture(scope="session")
 def checker(planner: Planner) -> CollisionChecker:
     return planner.checker
+
+
+@dataclass
+class FaultyCamera(Camera):
+    """Also says nothing, or sees no joint, from and until [s]."""
+
+    silent: tuple[tuple[float, float], ...] = ()
+    blind: tuple[tuple[float, float], ...] = ()
+
+    def shots(self, now: float, people: Sequence[Person]) -> list[CameraFrame]:
+        found = []
+        for shot in super().shots(now, people):
+            nan = np.nan if any(start <= shot.stamp < end for start, end in self.blind) else 0.0
+            if not any(start <= shot.stamp < end for start, end in self.silent):
+                frames = (replace(frame, positions=frame.positions + nan) for frame in shot.frames)
+                found.append(CameraFrame(shot.stamp, tuple(frames)))
+        return found
 
 
 def posts(*rows: list[float]) -> Scene:

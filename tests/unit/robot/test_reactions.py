@@ -8,13 +8,14 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import generated_person, predictor_named, simulate_scenario
 from kinecast.robot.outcome import outcome_of
 from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState
+
+from .conftest import FaultyCamera
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -51,7 +52,7 @@ def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped
         ReactivePerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, (0.0, 5.5))),
         ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, (7.0, 60.0))),
     ]
-    camera = Camera(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2)
+    camera = FaultyCamera(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2)
     simulation = Simulation(people, predictor_named("kinecast", people, 60), camera, cell, limit=40.0, dt=0.02)
     episode = simulation.run()
     outcome = outcome_of(episode, people, cell)

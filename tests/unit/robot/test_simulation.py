@@ -11,7 +11,7 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.async_planner import Solve
-from kinecast.robot.camera import Camera
+from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell, cell_named
 from kinecast.robot.choice import Choice, Chooser, Request
 from kinecast.robot.episode import Episode
@@ -20,6 +20,8 @@ from kinecast.robot.simulated_person import Person, PlayedPerson
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Decision, Prediction, RobotState, SkeletonFrame, Status
+
+from .conftest import FaultyCamera
 
 JOINTS = (*ARM_JOINTS, "head", "pelvis")
 FAR = np.array([
@@ -68,7 +70,7 @@ def play(
     **faults: tuple[tuple[float, float], ...],
 ) -> Episode:
     """An episode to its end, with faults of the camera."""
-    return Simulation(people, predict, Camera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT).run()
+    return Simulation(people, predict, FaultyCamera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT).run()
 
 
 def of(episode: Episode, state: RobotState) -> list[Decision]:
@@ -216,13 +218,11 @@ def test_a_predictor_that_is_never_sure_means_the_reachable_set_and_a_slower_arm
 
 
 def test_what_cannot_be_used_stops_the_arm_without_an_exception() -> None:
-    simulation = Simulation([standing()], stays, Camera(**CLEAN), CELL, limit=1.0, dt=DT)
+    simulation = Simulation([standing()], stays, FaultyCamera(**CLEAN), CELL, limit=1.0, dt=DT)
     bad = SkeletonFrame(0.5, JOINTS, np.zeros((3, 3)), "a")
     for k, command in enumerate(simulation.steps()):
         if k == 28:
-            from kinecast.robot.camera import CameraFrame
-
-            simulation.supervisor.see(CameraFrame(0.55, 0.56, (bad,)), [], 0.56)
+            simulation.supervisor.see(CameraFrame(0.55, (bad,)), [], 0.56)
             assert simulation.supervisor.control(0.56).decision.state is RobotState.STOPPED
             break
         assert command.decision is not None
