@@ -15,7 +15,6 @@ from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
-from kinecast.robot.execution import Executor
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
 from kinecast.robot.separation import Moving, Separation, SeparationOptions, moving, separation
@@ -124,7 +123,7 @@ class Simulation:
         self._clock = clock
         chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
         self.planner = DeferredPlanner(solve or chooser.choose, clock=clock)
-        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.planner, body)
+        self.supervisor = Supervisor(self.arm, self.cell, self.planner, q, dt, body)
         self.episode = Episode()
 
     def run(self) -> Episode:

@@ -101,28 +101,25 @@ class Level(Enum):
 
 
 class SpeedHysteresis:
-    """Brakes at once and speeds up gently; says at once that it is slower, the rest after a while."""
+    """Brakes at once and speeds up gently; says at once that it has to brake, the rest after a while."""
 
     def __init__(self) -> None:
         self.speed = 0.0
         self.level, self.reason = Level.FULL, LimitReason.NOTHING
-        self._now = 0.0
-        self._level_since = self._reason_since = -float("inf")
+        self._now, self._since = 0.0, -float("inf")
 
     def begin(self) -> None:
         """On a new path, which begins gently by itself."""
         self.speed = 1.0
-        self.level, self._level_since = Level.FULL, self._now
+        self.level, self._since = Level.FULL, self._now
 
     def update(self, limit: SpeedLimit, most: float, now: float) -> None:
         """Takes in what holds the arm back, and the share that it may go at for other reasons too [0..1]."""
         self.speed = min(most, self.speed + RISE * (now - self._now))
         self._now = now
         level = Level.FULL if limit.speed > FREE else Level.SLOW if limit.speed > STILL else Level.HELD
+        same = level is self.level and limit.reason is self.reason
         braked = level is Level.HELD or (level is Level.SLOW and self.level is Level.FULL and limit.speed < BRAKED)
-        if level is self.level or braked or now - self._level_since >= SETTLE:
-            self.level, self._level_since = level, now
-        blind = limit.reason in (LimitReason.SILENCE, LimitReason.UNSEEN)
-        flickers = self.reason in (LimitReason.DOUBT, LimitReason.SEPARATION) and not blind
-        if limit.reason is self.reason or not flickers or now - self._reason_since >= SETTLE:
-            self.reason, self._reason_since = limit.reason, now
+        blind = {LimitReason.SILENCE, LimitReason.UNSEEN} & {self.reason, limit.reason}
+        if same or braked or blind or now - self._since >= SETTLE:
+            self.level, self.reason, self._since = level, limit.reason, now

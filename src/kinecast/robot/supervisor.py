@@ -73,15 +73,22 @@ class Supervisor:
     Args:
         arm: its kinematics.
         cell: what is to be done, and where.
-        executor: follows paths; stands where the arm stands.
         planner: where plans are asked for.
+        q: (6,) where the arm stands [rad].
+        dt: of the control steps [s].
         body: radii of the people's limbs.
     """
 
     def __init__(
-        self, arm: UR5, cell: Cell, executor: Executor, planner: AsyncPlanner, body: OccupancyOptions | None = None
+        self,
+        arm: UR5,
+        cell: Cell,
+        planner: AsyncPlanner,
+        q: Float[np.ndarray, "6"],
+        dt: float,
+        body: OccupancyOptions | None = None,
     ) -> None:
-        self.arm, self.cell, self.executor, self.planner = arm, cell, executor, planner
+        self.arm, self.cell, self.planner, self.executor = arm, cell, planner, Executor(arm, dt, q)
         self.people = PeopleModel(body)
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE

@@ -11,15 +11,7 @@ __all__ = ["reason_of", "state_of"]
 
 
 def state_of(step: Step, finished: bool, has_path: bool, searching: bool, going: SpeedHysteresis) -> RobotState:
-    """The state's name.
-
-    Args:
-        step: of the pick and place.
-        finished: nothing is left to do.
-        has_path: there is a path to follow.
-        searching: another one is sought meanwhile.
-        going: how fast it goes, and what holds it back.
-    """
+    """The state's name: in a step, or finished with all of them; with a path to follow, or searching for another."""
     held = has_path and going.level is Level.HELD
     if going.reason in (LimitReason.SILENCE, LimitReason.UNSEEN) or (held and going.reason is LimitReason.SEPARATION):
         return RobotState.STOPPED

@@ -50,7 +50,7 @@ def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped
     whole = generated_person(5, Cell())
     people = [
         ReactivePerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, (0.0, 5.5))),
-        ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, (7.0, 60.0))),
+        ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, (5.0, 60.0))),
     ]
     camera = FaultyCamera(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2)
     simulation = Simulation(people, predictor_named("kinecast", people, 60), camera, cell, limit=40.0, dt=0.02)

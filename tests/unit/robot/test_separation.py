@@ -116,7 +116,7 @@ def test_nearest_points_against_a_fine_grid() -> None:
         assert found >= brute - 0.05
 
 
-@pytest.mark.parametrize("name", ["reaction", "braking", "unknown_speed", "oldest"])
-def test_options_are_checked(name: str) -> None:
+@pytest.mark.parametrize(("name", "value"), [("reaction", 0.0), ("braking", 0.0), ("across", -1.0), ("across", np.nan)])
+def test_options_are_checked(name: str, value: float) -> None:
     with pytest.raises(OptionError, match=name):
-        SeparationOptions(**{name: 0.0})
+        SeparationOptions(**{name: value})
