@@ -41,13 +41,12 @@ class Camera:
         while (stamp := self._next / RATE) + self.delay <= now + 1e-9:
             rng = np.random.default_rng([self.seed, self._next])  # of this shot: what happens before changes nothing
             if rng.random() >= self.dropped:
-                frames = [self._frame(rng, stamp, person, pose) for person in people
-                          if (pose := person.at(stamp)) is not None]  # fmt: skip
-                due.append(CameraFrame(stamp, tuple(frames)))
+                due.append(CameraFrame(stamp, tuple(self._frame(rng, stamp, person) for person in people)))
             self._next += 1
         return due
 
-    def _frame(self, rng: np.random.Generator, stamp: float, person: Person, pose: np.ndarray) -> SkeletonFrame:
+    def _frame(self, rng: np.random.Generator, stamp: float, person: Person) -> SkeletonFrame:
+        pose = person.at(stamp)
         seen = pose + rng.normal(0.0, 1.0, pose.shape) * self.noise
         if rng.random() < self.lost:
             side = "left" if rng.random() < 0.5 else "right"

@@ -112,13 +112,12 @@ def _is_false(decision: Decision, people: Sequence[Person], cell: Cell) -> bool:
     if decision.reaction not in (Reaction.TAKE_ANOTHER, Reaction.CHANGE_CUBE):
         return False
     left = [name for name, chance in decision.taken.items() if chance >= 0.5 and name != decision.target]
-    cubes = np.array([cell.cube(name).position for name in left]).reshape(-1, 1, 3)
+    cubes = np.array([cell.cube(name).position for name in left]).reshape(-1, 1, 1, 3)
     for person in people:
         wrists = [joint.endswith("wrist") for joint in person.joints]
-        for time in decision.stamp + np.linspace(-0.2, SOON, 13):
-            pose = person.at(float(time))
-            if pose is not None and (np.linalg.norm(pose[wrists] - cubes, axis=-1) < NEAR).any():
-                return False
+        poses = np.stack([person.at(float(time)) for time in decision.stamp + np.linspace(-0.2, SOON, 13)])
+        if (np.linalg.norm(poses[:, wrists] - cubes, axis=-1) < NEAR).any():
+            return False
     return True
 
 

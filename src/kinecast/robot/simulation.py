@@ -165,7 +165,7 @@ class Simulation:
         arm = moving(self.arm.capsules(np.stack([self.driver.move(command.q), before])), -self.driver.dt)
         episode.ticks.append(self._tick(now, arm, command))
         for person in self.people:
-            if isinstance(person, ReactivePerson) and person.at(now) is not None:
+            if isinstance(person, ReactivePerson):
                 person.mind(arm, now)
         sequence = supervisor.sequence
         for name in self.cell.order:
@@ -181,11 +181,8 @@ class Simulation:
         """The truth about a step, of the arm after it."""
         decision, found = command.decision, [Separation()]
         for person in self.people:
-            here, soon = person.at(now), person.at(now + MOMENT)
-            if here is not None:
-                poses = np.stack([here, here if soon is None else soon])
-                body = body_capsules(person.joints, poses, TRUE_BODY)
-                found.append(separation(arm, moving(body, MOMENT), TRUTH))
+            body = body_capsules(person.joints, np.stack([person.at(now), person.at(now + MOMENT)]), TRUE_BODY)
+            found.append(separation(arm, moving(body, MOMENT), TRUTH))
         worst = min(found, key=lambda each: each.margin)
         return Tick(
             stamp=now,
@@ -207,11 +204,10 @@ class Simulation:
             samples = people.predictions[0].samples
             region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
         ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
-        poses = [(person.joints, person.at(now)) for person in self.people]
         return SceneSnapshot(
             stamp=now,
             q=self.driver.q,
-            people=tuple((joints, pose) for joints, pose in poses if pose is not None),
+            people=tuple((person.joints, person.at(now)) for person in self.people),
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
             tube=people.occupancy(now, now + 0.25),

@@ -41,14 +41,12 @@ def test_a_played_person_moves_evenly_and_stands_before_and_after() -> None:
     np.testing.assert_allclose(person.at(50.0), POSE + np.array([1.5, 0, 0]))
 
 
-def test_gaps_in_a_recording_are_bridged_and_absence_is_none() -> None:
+def test_gaps_in_a_recording_are_bridged() -> None:
     positions = np.repeat(POSE[None], 5, axis=0)
     positions[:, 2, 0] += np.arange(5.0)
     positions[2, 2] = np.nan
-    person = PlayedPerson("a", JOINTS, np.arange(5.0), positions, present=(1.0, 3.0))
+    person = PlayedPerson("a", JOINTS, np.arange(5.0), positions)
     assert person.at(2.0)[2, 0] == pytest.approx(2.35)
-    assert person.at(0.5) is None
-    assert person.at(3.0) is None
 
 
 def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:

@@ -11,11 +11,11 @@ import pytest
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import generated_person, predictor_named, simulate_scenario
 from kinecast.robot.outcome import outcome_of
-from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState
 
-from .conftest import FaultyCamera
+from .conftest import FaultyCamera, Visitor
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -49,8 +49,8 @@ def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped
     cell = Cell(cubes=Cell().cubes[:1])
     whole = generated_person(5, Cell())
     people = [
-        ReactivePerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, (0.0, 5.5))),
-        ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, (5.0, 60.0))),
+        ReactivePerson(Visitor("a", whole.joints, whole.stamps, whole.positions, (0.0, 5.0))),
+        ReactivePerson(Visitor("b", whole.joints, whole.stamps, whole.positions, (4.8, 8.0))),
     ]
     camera = FaultyCamera(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2)
     simulation = Simulation(people, predictor_named("kinecast", people, 60), camera, cell, limit=40.0, dt=0.02)
