@@ -119,7 +119,7 @@ class UrDriver:
         self.counters = CycleCounters()
         self._counter = self._order = 0
         self._grip: bool | None = None  # what the gripper is yet to be told
-        self._news = self._unserved = False  # whether the newest state is news to the caller, and had no answer
+        self._unserved = False  # whether the newest state had no answer
         self._since = 0.0
         self._connect()
 
@@ -146,14 +146,12 @@ class UrDriver:
         """How much later than the fastest one the newest state has come, and the time since [s]."""
         return time.monotonic() - self.reading.stamp - self._offset
 
-    def wait(self, seconds: float = 0.1) -> bool:
-        """Until the controller's next cycle; False where none has begun for so long."""
+    def wait(self, seconds: float = 0.1) -> None:
+        """Until there is a state of the controller's that had no answer, or so long."""
         self._look()
-        if not self._news:
+        if not self._unserved:
             self._rtde.wait(seconds)
             self._look(waited=True)
-        begun, self._news = self._news, False
-        return begun
 
     @property
     def gripped(self) -> bool:
@@ -228,7 +226,7 @@ class UrDriver:
         if readings:
             c.overrun += self._unserved + (0 if waited else len(readings) - 1)
             c.bunched += len(readings) - 1 if waited else 0
-            self._news = self._unserved = True
+            self._unserved = True
         if self._rtde.closed:
             self._stop(ArmStatus.DISCONNECTED)
         elif self.status is ArmStatus.OK and (problem := self._problem()) is not None:
@@ -265,4 +263,4 @@ class UrDriver:
         self._rtde.send(self._counter & 0x7FFFFFFF, order, *self.sent.tolist(), *outputs)
         self._grip = None
         self.counters.sent += self._unserved
-        self._news = self._unserved = False
+        self._unserved = False
