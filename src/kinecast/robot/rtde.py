@@ -72,7 +72,7 @@ class Rtde:
     def __init__(
         self, host: str, port: int = PORT, inputs: Mapping[str, str] | None = None, timeout: float = 2.0
     ) -> None:
-        self._where, self._rest = f"{host}:{port}", b""
+        self._where, self._rest, self._room = f"{host}:{port}", b"", memoryview(bytearray(AT_ONCE))
         self._deadline = time.monotonic() + timeout
         try:
             self._socket = socket.create_connection((host, port), timeout)
@@ -114,14 +114,14 @@ class Rtde:
     def readings(self) -> list[Reading]:
         """What has come since the last call, oldest first."""
         try:
-            content = self._socket.recv(AT_ONCE)
+            count = self._socket.recv_into(self._room)
         except BlockingIOError:
             return []
         except OSError:
-            content = b""
-        if not content:
+            count = 0
+        if count == 0:
             self.close()
-        self._rest += content
+        self._rest += self._room[:count]
         number, recipe = self._outputs
         found = []
         for kind, payload in self._packages():
@@ -163,7 +163,7 @@ class Rtde:
         self._socket.sendall(_package(question, payload))
         while not self.closed and (left := self._deadline - time.monotonic()) > 0:
             self._socket.settimeout(left)
-            content = self._socket.recv(AT_ONCE)
+            content = self._socket.recv(4096)
             self._rest += content
             for kind, answer in list(self._packages()):
                 if kind == question:
