@@ -32,13 +32,13 @@ MOMENT = 1e-3
 
 
 class LimitReason(Enum):
-    """What holds the arm back."""
+    """What holds the arm back, as it is said of an arm that is slow, or stands."""
 
     NOTHING = "nothing"
-    DOUBT = "a person of whom nobody can say what they will do"
-    SEPARATION = "the safety distance"
-    SILENCE = "the camera"
-    UNSEEN = "a person whose arms were never seen"
+    DOUBT = "nobody can say what the person will do"
+    SEPARATION = "A person is too near to move."
+    SILENCE = "The camera is silent: nobody knows who is there."
+    UNSEEN = "Somebody is there whose arms were never seen."
 
 
 class SpeedLimit(NamedTuple):

@@ -106,7 +106,7 @@ class Supervisor:
         self._closed, self._since = False, 0.0
         self._asked = self._not_before = -np.inf
         self._failures, self._trouble = 0, ""
-        self._taken = self._alarm = False  # whether the person was about to take its cube; and nothing was asked since
+        self._taken = False  # whether the person was about to take its cube
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
         self._limit = SpeedLimit(0.0, LimitReason.SILENCE, Separation())
@@ -151,11 +151,9 @@ class Supervisor:
             log.exception("control failed at %r", now)
             decision = Decision(now, RobotState.STOPPED, f"Its control failed: {error}.", self.target, speed=0.0)
         q = self.executor.step(decision.speed)
-        last = self._decision
-        told = (last.state, last.target, last.reason)
-        news = decision.reaction is not None or (decision.state, decision.target, decision.reason) != told
+        before, after = ((each.state, each.target, each.reason) for each in (self._decision, decision))
         self._decision = decision
-        return Command(q, self._closed, decision, news)
+        return Command(q, self._closed, decision, decision.reaction is not None or after != before)
 
     # Reactions
 
@@ -165,12 +163,11 @@ class Supervisor:
         places = {name: self.cell.cube(name).position for name in self.sequence.remaining if name != held}
         self.sequence.update(now, self.people.taken(places, now))
         taken = self.target is not None and self.sequence.is_taken(self.target)
-        self._alarm = taken and (self._alarm or not self._taken)
+        if taken and not self._taken:
+            self._asked = -np.inf  # at once
         self._taken = taken
-        due = (self._alarm and self.step is Step.REACH) or now - self._asked >= AGAIN
         under_way = self._trajectory is not None and self.step in (Step.REACH, Step.CARRY) and not self.busy
-        if under_way and due and self.people.predictions:
-            self._alarm = False
+        if under_way and now - self._asked >= AGAIN and self.people.predictions:
             self._ask("better", now)
 
     @property
@@ -194,7 +191,7 @@ class Supervisor:
 
     def _advance(self, now: float) -> None:
         """The next step where one has ended."""
-        if self._trajectory is not None and self.executor.done and self._purpose is not self.step:
+        if self.executor.done and self._purpose is not self.step:
             self._trajectory = None  # the end of a way that was given up
         if self.step is Step.NONE or (self.step is Step.REST and self._then is Step.NONE and self.sequence.remaining):
             self._choose(now)
@@ -239,7 +236,6 @@ class Supervisor:
         self.target = None
         rest = self._places.rest(self.executor.q)
         if len(rest) and self.step is not Step.REST and np.abs(rest - self.executor.q).max(axis=1).min() > 0.05:
-            self._then = Step.NONE
             self._travel(Step.REST, now)
         else:
             self.step = Step.REST
@@ -248,7 +244,7 @@ class Supervisor:
         """Sets out; keeps to the path it is on until there is another."""
         self.step = step
         self._failures, self._trouble = 0, ""
-        if self._trajectory is not None and self.executor.done:
+        if self.executor.done:
             self._trajectory = None
         self._ask("path", now)
 

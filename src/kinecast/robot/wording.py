@@ -46,10 +46,7 @@ def reason_of(
         instead = f"{target} first" if target else "back up"
         return f"The person reaches for {' and '.join(taken) or 'the cube'}: {instead}."
     if state is RobotState.STOPPED:
-        return {
-            LimitReason.SILENCE: "The camera is silent: nobody knows who is there.",
-            LimitReason.UNSEEN: "Somebody is there whose arms were never seen.",
-        }.get(cause, "A person is too near to move.")
+        return cause.value
     if state is RobotState.DONE:
         missing = f", without {' and '.join(sequence.given_up)}: no way there" if sequence.given_up else ""
         return f"Every cube is in its place{missing}."
@@ -60,6 +57,5 @@ def reason_of(
     if state is RobotState.REPLANNING:
         return f"Another path is sought {errand}; meanwhile it slows down."
     if state is RobotState.SLOWED:
-        why = "nobody can say what the person will do" if cause is LimitReason.DOUBT else "a person is near"
-        return f"On the way {errand}, slowly: {why}."
+        return f"On the way {errand}, slowly: {cause.value if cause is LimitReason.DOUBT else 'a person is near'}."
     return f"{errand[0].upper()}{errand[1:]}."

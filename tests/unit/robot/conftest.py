@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -28,6 +29,14 @@ WALL = [[-0.9, 0.0, z, -0.3, 0.0, z, 0.06] for z in (0.1, 0.25, 0.4, 0.55, 0.7)]
 FAR_AWAY = 50.0
 SEALED = [[-1.2, 0.0, z, 1.2, 0.0, z, 0.15] for z in np.arange(0.0, 1.6, 0.2)]
 """No way leads past it."""
+
+
+@pytest.fixture(scope="module")
+def without_checks() -> Iterator[None]:
+    """Thousands of steps are too many to check every shape in; one short episode does (test_simulation)."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="session")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -17,13 +14,7 @@ from kinecast.types import Reaction, RobotState
 
 from .conftest import FaultyCamera, Visitor
 
-
-@pytest.fixture(autouse=True, scope="module")
-def _without_checks() -> Iterator[None]:
-    """Thousands of steps are too many to check every shape in; one short episode does (test_simulation)."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+pytestmark = pytest.mark.usefixtures("without_checks")
 
 
 def test_it_follows_another_path_within_150_ms_of_the_first_prediction_that_says_so() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jaxtyping
@@ -37,12 +37,7 @@ CLEAN = {"noise": 0.001, "lost": 0.0, "dropped": 0.0}
 """A camera without faults but those that a test gives it."""
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _without_checks() -> Iterator[None]:
-    """Thousands of steps are too many to check every shape in; one short episode does."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+pytestmark = pytest.mark.usefixtures("without_checks")
 
 
 def standing(pose: np.ndarray = FAR, name: str = "a", present: tuple[float, float] = (-np.inf, np.inf)) -> Visitor:
