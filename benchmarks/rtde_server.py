@@ -108,6 +108,7 @@ class Controller:
         self.cycle, self.starved, self.doubled, self.skipped = 0, 0, 0, 0
         self.targets, self.lateness = deque[tuple[int, np.ndarray]](maxlen=5000), list[float]()
         self._seen, self._clients, self._ended = 0.0, list[Client](), threading.Event()
+        self._values(["actual_TCP_pose"])  # compiled before anybody connects
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
@@ -150,7 +151,6 @@ class Controller:
             "servoj": self._servoj, "stopj": self._stopj, "sync": self._step,
         }  # fmt: skip
         exec(compile(source, "kinecast_ur.script", "exec"), commands)
-        self._values(["actual_TCP_pose"])  # compiled now, not in the first cycle
         self._due = time.monotonic()
         while not self._ended.is_set():
             with suppress(ProgramStopped):

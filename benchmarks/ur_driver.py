@@ -102,7 +102,7 @@ def drive(driver: UrDriver, arm: UR5, seconds: float) -> tuple[list[float], list
         began = time.perf_counter()
         if arrived:
             q, closed = next(way)
-            cubes += driver.state().closed and not closed
+            cubes += driver.gripped and not closed
             driver.grip(closed)
             wish.target_position = q.tolist()
         arrived = motion.update(wish, place) == ruckig.Result.Finished

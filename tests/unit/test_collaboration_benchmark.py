@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -34,6 +36,15 @@ def run(monkeypatch: pytest.MonkeyPatch, folder: Path, episodes: int, limit: flo
     return result
 
 
+@pytest.fixture
+def without_checks() -> Iterator[None]:
+    """Hundreds of steps are too many to check every shape in; the tests of the simulation do."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.mark.usefixtures("without_checks")
 def test_it_goes_on_where_it_stopped_and_refuses_other_settings(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

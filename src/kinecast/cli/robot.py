@@ -9,10 +9,10 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from tyro.conf import arg
@@ -22,19 +22,20 @@ from kinecast.cli.progress import compiling
 from kinecast.errors import ArmError, OptionError
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
 from kinecast.predictor import Predictor, PredictorOptions
+from kinecast.types import Prediction, SkeletonFrame
 
 if TYPE_CHECKING:
     from kinecast.live.mailbox import Mailbox
     from kinecast.robot.rtde import Reading
     from kinecast.robot.ur5 import UR5
     from kinecast.robot.ur_driver import UrDriver
-    from kinecast.types import Prediction, SkeletonFrame
 
 WATCHED = 2.0  # the controller's clock is watched for so long [s]
 NEAR, TURNED = 0.01, 0.035  # apart so far, in metres and radians, two poses of the tool are one
 MARGIN = 0.1  # from the end of a joint's range that an arm should keep [rad]
 STEP = 0.008  # of the supervisor's control [s]; a faster controller is led there in a straight line
 
+Seen = deque[tuple[SkeletonFrame, Prediction]]
 DriverName = Annotated[str, arg(name="driver", metavar="ur:HOST", help="the arm; ur:HOST:PORT where it is not 30004.")]
 SourceName = Annotated[
     str | None, arg(metavar="SOURCE", help="where the skeletons come from, as in kinecast live; --move needs it.")
@@ -90,12 +91,12 @@ def robot(
     T_base_world = inverse(transform(turn, np.array(base[:3])))
     with (
         opened([read_source(source)], []) as (mailbox, (people, *_), _),
-        closing(People(mailbox, predictor, T_base_world)) as watched,
+        predicted(mailbox, predictor, T_base_world) as seen,
         closing(UrDriver(arm, host, port, gripper)) as ur,
     ):
         people.start()
         print("the arm moves; Ctrl-C stops it", flush=True)
-        for line in episode(arm, ur, watched):
+        for line in episode(arm, ur, seen, lambda: mailbox.finished and not seen):
             print(line, flush=True)
         print(ur.counters)
         if ur.status.name != "OK":
@@ -111,21 +112,12 @@ def _address(driver: str) -> tuple[str, int]:
     return found[1].strip("[]"), int(found[2] or PORT)
 
 
-class Check(NamedTuple):
-    """One thing that must be in order before an arm may move."""
-
-    name: str
-    passed: bool
-    text: str
-
-
 def check_arm(arm: UR5, host: str, port: int) -> None:
     """Looks at an arm for two seconds without writing anything to it, and says what is in order.
 
     An ArmError where it cannot be reached, or may not move.
     """
     from kinecast.robot.rtde import Rtde
-    from kinecast.robot.ur_driver import trouble
 
     readings: list[Reading] = []
     arrivals: list[float] = []
@@ -138,91 +130,72 @@ def check_arm(arm: UR5, host: str, port: int) -> None:
             arrivals += [time.monotonic()] * len(news)
     if len(readings) < 2:
         raise ArmError(f"{host}:{port}: sends no states")
-    last = readings[-1]
-    version = ".".join(map(str, rtde.version[:3]))
     kind = "CB3" if rtde.rate < 200 else "e-Series"
-    problem = trouble(last)
-    checks = [
-        Check("software", True, f"{version} ({kind}), {rtde.rate:g} cycles a second"),
-        _clock(readings, arrivals, rtde.rate),
-        Check("state", problem is None, "kinecast_ur.script waits" if problem is None else problem.value),
-        Check("speed", last.speed_fraction > 0, f"the speed slider lets it go at {last.speed_fraction:.0%}"),
-        _limits(arm, last),
-        _tool(arm, last),
-    ]
-    for check in checks:
-        print(f"{'ok ' if check.passed else 'NOT'}  {check.name:8}  {check.text}")
-    if failed := [check.name for check in checks if not check.passed]:
+    print(f"ok   software  {'.'.join(map(str, rtde.version[:3]))} ({kind}), {rtde.rate:g} cycles a second")
+    failed = []
+    for name, passed, text in checks(arm, readings, np.array(arrivals), rtde.rate):
+        print(f"{'ok ' if passed else 'NOT'}  {name:8}  {text}")
+        failed += [] if passed else [name]
+    if failed:
         raise ArmError(f"ur:{host}:{port}: the arm may not move: {', '.join(failed)}")
 
 
-def _clock(readings: list[Reading], arrivals: list[float], rate: float) -> Check:
-    stamps = np.array([each.stamp for each in readings])
+def checks(arm: UR5, readings: Sequence[Reading], arrivals: np.ndarray, rate: float) -> Iterator[tuple[str, bool, str]]:
+    """What must be in order before an arm may move: its name, whether it is, and the figures."""
+    from kinecast.robot.ur_driver import trouble
+
+    last, stamps = readings[-1], np.array([each.stamp for each in readings])
     cycles = (stamps[-1] - stamps[0]) * rate
     skipped = cycles + 1 - len(stamps)
-    gaps = np.diff(arrivals) * rate
+    p99, longest = np.percentile(np.diff(arrivals) * rate, [99, 100])
     drift = (arrivals[-1] - arrivals[0]) / (stamps[-1] - stamps[0]) - 1
-    text = (
-        f"{skipped:.0f} of {cycles:.0f} cycles without a state; {np.percentile(gaps, 99):.2f} cycles between two at"
-        f" p99, {gaps.max():.2f} at most; runs {1e6 * drift:+.0f} ppm apart from this computer's"
+    yield (
+        "clock",
+        bool(skipped <= 0.01 * cycles and p99 <= 2 and abs(drift) < 0.01),
+        (
+            f"{skipped:.0f} of {cycles:.0f} cycles without a state; {p99:.2f} cycles between two at"
+            f" p99, {longest:.2f} at most; runs {1e6 * drift:+.0f} ppm apart from this computer's"
+        ),
     )
-    steady = skipped <= 0.01 * cycles and np.percentile(gaps, 99) <= 2 and abs(drift) < 0.01
-    return Check("clock", bool(steady), text)
-
-
-def _limits(arm: UR5, reading: Reading) -> Check:
-    left = np.minimum(reading.q - arm.q_range[:, 0], arm.q_range[:, 1] - reading.q)
-    text = f"joint {left.argmin() + 1} is {left.min():.2f} rad from the end of its range, the others are further"
-    return Check("limits", bool(left.min() > MARGIN), text)
-
-
-def _tool(arm: UR5, reading: Reading) -> Check:
-    """Whether the controller puts the tool where this model of the arm does: tells another arm, tool or base frame."""
-    T = arm.forward_kinematics(reading.q)
-    R = from_rotation_vector(reading.tool[3:])
-    apart = np.linalg.norm(reading.tool[:3] - T[:3, 3])
-    turned = np.linalg.norm(rotation_vector(T[:3, :3].T @ R))
+    problem = trouble(last)
+    yield "state", problem is None, "kinecast_ur.script waits" if problem is None else problem.value
+    yield "speed", last.speed_fraction > 0, f"the speed slider lets it go at {last.speed_fraction:.0%}"
+    left = np.minimum(last.q - arm.q_range[:, 0], arm.q_range[:, 1] - last.q)
+    yield (
+        "limits",
+        bool(left.min() > MARGIN),
+        (f"joint {left.argmin() + 1} is {left.min():.2f} rad from the end of its range, the others are further"),
+    )
+    # Whether the controller puts the tool where this model of the arm does tells another arm, tool or base frame.
+    T = arm.forward_kinematics(last.q)
+    apart = np.linalg.norm(last.tool[:3] - T[:3, 3])
+    turned = np.linalg.norm(rotation_vector(T[:3, :3].T @ from_rotation_vector(last.tool[3:])))
     text = f"the controller's TCP is {1e3 * apart:.1f} mm and {np.degrees(turned):.1f}° from the model's"
     passed = bool(apart < NEAR and turned < TURNED)
-    return Check("tool", passed, text if passed else f"{text}: another arm, TCP or base frame (docs/ur.md)")
+    yield "tool", passed, text if passed else f"{text}: another arm, TCP or base frame (docs/ur.md)"
 
 
-class People:
-    """Predictions of whoever comes into a mailbox, in the frame of the arm's base and on this computer's clock."""
+@contextmanager
+def predicted(mailbox: Mailbox, predictor: Predictor, T_base_world: np.ndarray) -> Iterator[Seen]:
+    """Frames of whoever comes, in the frame of the arm's base and on this computer's clock, and their predictions."""
+    ended, seen, R = threading.Event(), Seen(maxlen=8), T_base_world[:3, :3]
 
-    def __init__(self, mailbox: Mailbox, predictor: Predictor, T_base_world: np.ndarray) -> None:
-        self._mailbox, self._predictor, self._T_base_world = mailbox, predictor, T_base_world
-        self._ended = threading.Event()
-        self._seen: deque[tuple[SkeletonFrame, Prediction]] = deque(maxlen=8)
-        self._thread = threading.Thread(target=self._watch, name="people", daemon=True)
-        self._thread.start()
-
-    @property
-    def ended(self) -> bool:
-        """Whether nothing will come any more."""
-        return self._mailbox.finished and not self._seen
-
-    def close(self) -> None:
-        """Looks no more."""
-        self._ended.set()
-        self._thread.join(5.0)
-
-    def seen(self) -> Iterator[tuple[SkeletonFrame, Prediction]]:
-        """What has come since the last call; never waits."""
-        while self._seen:
-            yield self._seen.popleft()
-
-    def _watch(self) -> None:
-        T, R = self._T_base_world, self._T_base_world[:3, :3]
-        while not self._ended.is_set():
-            if (arrival := self._mailbox.take(0.1)) is not None:
+    def watch() -> None:
+        while not ended.is_set():
+            if (arrival := mailbox.take(0.1)) is not None:
                 frame = arrival.frame
                 covariance = None if frame.covariance is None else R @ frame.covariance @ R.T
-                positions = apply(T, frame.positions)
-                frame = replace(
-                    frame, stamp=arrival.acquired, positions=positions, covariance=covariance, frame_id="cell"
-                )
-                self._seen.append((frame, self._predictor.observe(frame, time.monotonic())))
+                places = apply(T_base_world, frame.positions)
+                frame = replace(frame, stamp=arrival.acquired, positions=places, covariance=covariance, frame_id="cell")
+                seen.append((frame, predictor.observe(frame, time.monotonic())))
+
+    thread = threading.Thread(target=watch, name="people", daemon=True)
+    thread.start()
+    try:
+        yield seen
+    finally:
+        ended.set()
+        thread.join(5.0)
 
 
 def warm_up(samples: int) -> None:
@@ -236,36 +209,28 @@ def warm_up(samples: int) -> None:
     sys.setswitchinterval(5e-4)  # predictor and planner are threads, and give way to the arm sooner
 
 
-def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
-    """The cell's episode by a real arm, while there is a source and nothing stops it; what is decided, in lines."""
+def episode(arm: UR5, driver: UrDriver, seen: Seen, ended: Callable[[], bool]) -> Iterator[str]:
+    """The cell's episode by a real arm, until there is no source or something stops it; what is decided, in lines."""
     from kinecast.robot.async_planner import ThreadPlanner
     from kinecast.robot.camera import CameraFrame
     from kinecast.robot.cell import Cell
     from kinecast.robot.choice import Chooser
-    from kinecast.robot.execution import Executor
     from kinecast.robot.planner import Planner
     from kinecast.robot.supervisor import Supervisor
-    from kinecast.robot.ur_driver import ArmStatus
 
-    cell = Cell()
-
-    class SliderExecutor(Executor):
-        """Goes on as slowly as the speed slider says, so that the arm can follow."""
-
-        def step(self, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return super().step(scale * driver.reading.speed_fraction)
-
-    per_step = max(round(STEP / driver.dt), 1)
-    q = driver.state().q
+    cell, per_step, newest = Cell(), max(round(STEP / driver.dt), 1), 0.0
+    driver.wait()
+    q, closed = driver.reading.q, driver.gripped
     with closing(ThreadPlanner(Chooser(Planner(arm, cell.scene), cell).choose)) as planner:
-        supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), planner)
-        closed, newest = driver.state().closed, 0.0
+        supervisor = Supervisor(arm, cell, planner, q, per_step * driver.dt)
         driver.resume()
-        while driver.status is ArmStatus.OK and not supervisor.done and not people.ended:
+        while driver.status.name == "OK" and not supervisor.done and not ended():
             now = time.monotonic()
-            for frame, prediction in people.seen():  # a shot each: two of one instant would pass for the same one
+            while seen:  # a shot each: two of one instant would pass for the same one
+                frame, prediction = seen.popleft()
                 newest = max(frame.stamp, newest + 1e-6)
-                supervisor.see(CameraFrame(newest, now, (frame,)), [prediction], now)
+                supervisor.see(CameraFrame(newest, (frame,)), [prediction], now)
+            supervisor.executor.slider = driver.reading.speed_fraction
             command = supervisor.control(now)
             if command.news:
                 yield f"{command.decision.state.name.lower():10}  {command.decision.reason}"

@@ -21,7 +21,6 @@ class CameraFrame:
     """Everybody seen at one instant. An empty one says that nobody is there; a silent camera says nothing."""
 
     stamp: float  # when it was taken [s]
-    arrival: float  # when it is known [s]
     frames: tuple[SkeletonFrame, ...]  # one for each person
 
 
@@ -33,8 +32,6 @@ class Camera:
     noise: float = 0.002  # standard deviation of each coordinate [m]; HA4M: 1.3 mm at the neck to 2.4 mm at a wrist
     lost: float = 0.01  # share of shots in which one arm is not seen
     dropped: float = 0.005  # share of shots that never arrive
-    silent: tuple[tuple[float, float], ...] = ()  # when no shot is taken, from and until [s]
-    blind: tuple[tuple[float, float], ...] = ()  # when every joint is NaN, from and until [s]
     seed: int = 0  # of the noise
     _next: int = field(default=0, init=False)
 
@@ -43,23 +40,16 @@ class Camera:
         due = []
         while (stamp := self._next / RATE) + self.delay <= now + 1e-9:
             rng = np.random.default_rng([self.seed, self._next])  # of this shot: what happens before changes nothing
-            if not (rng.random() < self.dropped or _within(stamp, self.silent)):
-                frames = [self._frame(rng, stamp, person, pose) for person in people
-                          if (pose := person.at(stamp)) is not None]  # fmt: skip
-                due.append(CameraFrame(stamp, stamp + self.delay, tuple(frames)))
+            if rng.random() >= self.dropped:
+                due.append(CameraFrame(stamp, tuple(self._frame(rng, stamp, person) for person in people)))
             self._next += 1
         return due
 
-    def _frame(self, rng: np.random.Generator, stamp: float, person: Person, pose: np.ndarray) -> SkeletonFrame:
+    def _frame(self, rng: np.random.Generator, stamp: float, person: Person) -> SkeletonFrame:
+        pose = person.at(stamp)
         seen = pose + rng.normal(0.0, 1.0, pose.shape) * self.noise
         if rng.random() < self.lost:
             side = "left" if rng.random() < 0.5 else "right"
             parts = ("wrist",) if rng.random() < 0.5 else ("elbow", "wrist")
             seen[[name in {f"{side}_{part}" for part in parts} for name in person.joints]] = np.nan
-        if _within(stamp, self.blind):
-            seen[:] = np.nan
         return SkeletonFrame(stamp, person.joints, seen, person.name, "cell")
-
-
-def _within(time: float, intervals: Sequence[tuple[float, float]]) -> bool:
-    return any(start <= time < end for start, end in intervals)

@@ -34,40 +34,25 @@ HELD = 0.9
 """Share of the predicted wrists that the region holds."""
 WIDE, HIGH = (-0.92, 1.12), (-0.60, 0.98)
 """What the picture shows [m on the page]."""
-SQUARE = (0.6, 0.6, -0.6, -0.6), (0.6, -0.6, -0.6, 0.6)
-"""Corners of a cube's place, x and y, of its edges."""
-
-
-def _view() -> Camera:
-    """From the arm's right and above, so that the arm is on the left and the person on the right."""
-    towards = np.array([-0.25, -0.82, 0.62]) / np.linalg.norm([-0.25, -0.82, 0.62])
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
-    return Camera(np.array([0.5, 0.0, 0.15]), np.stack([right, np.cross(towards, right), towards]), distance=4.0)
-
-
-VIEW = _view()
+SQUARE = np.array([[0.6, 0.6, -0.5], [0.6, -0.6, -0.5], [-0.6, -0.6, -0.5], [-0.6, 0.6, -0.5]])
+"""Corners of a cube's place, of its edges."""
+TOWARDS = np.array([-0.25, -0.82, 0.62]) / np.linalg.norm([-0.25, -0.82, 0.62])
+RIGHT = np.array([0.82, -0.25, 0.0]) / np.hypot(0.82, 0.25)
+VIEW = Camera(np.array([0.5, 0.0, 0.15]), np.stack([RIGHT, np.cross(TOWARDS, RIGHT), TOWARDS]), distance=4.0)
+"""From the arm's right and above, so that the arm is on the left and the person on the right."""
 
 
 def draw_cell(axes: Axes, arm: UR5, cell: Cell, scene: SceneSnapshot) -> None:
-    """Draw one moment.
-
-    Args:
-        axes: to draw on.
-        arm: the arm.
-        cell: the table, and where cubes are to go.
-        scene: the moment.
-    """
+    """Draw one moment of an arm in a cell on axes."""
     axes.set_axis_off()
-    axes.set_aspect("equal")
-    axes.set_xlim(*WIDE)
-    axes.set_ylim(*HIGH)
+    axes.set(aspect="equal", xlim=WIDE, ylim=HIGH)
     corners = cell.table.center + cell.table.size / 2 * np.array([[1, 1, 1], [-1, -1, 1.0]])
     draw_obstacles(axes, VIEW, Scene((cell.table,)), 0.0, 0.0, corners)
     for cube in cell.cubes:
         colour = hex_of(cube_colour(cube.name))
-        square = cube.place + cube.size * np.array([(x, y, -0.5) for x, y in zip(*SQUARE, strict=True)])
-        axes.add_patch(Polygon(VIEW.page(square), fc="white", ec=colour, lw=1.4, alpha=0.8, zorder=1.5))
+        axes.add_patch(
+            Polygon(VIEW.page(cube.place + cube.size * SQUARE), fc="white", ec=colour, lw=1.4, alpha=0.8, zorder=1.5)
+        )
         _cube(axes, scene.cubes[cube.name], cube.size, colour)
     links, skin, shirt = arm.capsules(scene.q[None]), hex_of(SKIN), hex_of(SHIRT)
     _capsules(axes, [arm.pedestal, *zip(links.start[0], links.end[0], links.radius, strict=True)],

@@ -178,8 +178,7 @@ def _one_motion(frame: SkeletonFrame, now: float, person: Person | None) -> Pred
     times = now + DT * np.arange(1, STEPS + 1)
     poses, status = [frame.positions] * STEPS, Status.WARMING_UP
     if person is not None:
-        there = (person.at(float(time)) for time in times)
-        poses, status = [frame.positions if pose is None else pose for pose in there], Status.OK
+        poses, status = [person.at(float(time)) for time in times], Status.OK
     arms = np.stack(poses)[:, [frame.joints.index(name) for name in ARM_JOINTS]]
     covariance = np.zeros((STEPS, 6, 3, 3))
     return Prediction(frame.stamp, times, arms[None], arms, covariance, ARM_JOINTS, frame.person, status)

@@ -42,9 +42,8 @@ def key_moments(episode: Episode) -> list[SceneSnapshot]:
     """
     stamps = np.array([scene.stamp for scene in episode.scenes])
     reacted = _reaction(episode)
-    if reacted is None:
-        times = np.linspace(stamps[0], stamps[-1], MOMENTS)
-    else:
+    times = np.linspace(stamps[0], stamps[-1], MOMENTS)
+    if reacted is not None:
         closings = (each.stamp for each in episode.decisions if each.stamp > reacted.stamp
                     and each.state is RobotState.GRASPING and "Closing" in each.reason)  # fmt: skip
         way = next(closings, stamps[-1]) - reacted.stamp
@@ -118,32 +117,25 @@ def draw_timeline(path: Path, episode: Episode, title: str) -> None:
         band.imshow([[states.index(tick.state) for tick in ticks]], ListedColormap([hex_of(STATES[k]) for k in states]),
                     aspect="auto", extent=(stamps[0], stamps[-1], 0, 1), vmin=0, vmax=len(states) - 1)  # fmt: skip
         band.set_yticks([])
-        for name, colour, label in (
-            ("distance", INK, "distance arm to person"),
-            ("limit", RED, "S_p that monitoring asks for"),
+        for metres, colour, label in (
+            ([tick.distance for tick in ticks], INK, "distance arm to person"),
+            ([tick.limit for tick in ticks], RED, "S_p that monitoring asks for"),
         ):
-            metres = np.minimum([getattr(tick, name) for tick in ticks], FARTHEST)
-            near.plot(stamps, metres, color=colour, lw=1.4, label=label)
-        near.set_ylim(-0.02, FARTHEST + 0.02)
-        near.set_ylabel("metres")
+            near.plot(stamps, np.minimum(metres, FARTHEST), color=colour, lw=1.4, label=label)
+        near.set(ylim=(-0.02, FARTHEST + 0.02), ylabel="metres")
         near.legend(loc="upper right", frameon=False, fontsize=8.5, ncols=2)
         pace.fill_between(stamps, [tick.speed for tick in ticks], color=hex_of(STATES[RobotState.MOVING]), lw=0,
                           alpha=0.5, step="post")  # fmt: skip
-        pace.set_ylim(0, 1.05)
-        pace.set_ylabel("speed share")
+        pace.set(ylim=(0, 1.05), ylabel="speed share")
         for name, rgb in CUBE_COLOURS.items():
             values = [scene.decision.taken.get(name, 0.0) for scene in scenes]
             chance.plot([scene.stamp for scene in scenes], values, color=hex_of(rgb), lw=1.5)
-        chance.set_ylim(-0.03, 1.05)
-        chance.set_ylabel("P(person\ntakes it)")
-        chance.set_xlabel("seconds")
-        chance.set_xlim(stamps[0], stamps[-1])
-        for decision in episode.decisions:
-            if decision.reaction is not None:
+        chance.set(ylim=(-0.03, 1.05), ylabel="P(person\ntakes it)", xlabel="seconds", xlim=stamps[[0, -1]])
+        for stamp, reaction in ((each.stamp, each.reaction) for each in episode.decisions):
+            if reaction is not None:
                 for axes in rows[1:]:
-                    axes.axvline(decision.stamp, color=MUTED, lw=1.0, ls=(0, (3, 2)))
-                what = decision.reaction.name.replace("_", " ").lower()
-                near.text(decision.stamp + 0.05, 0.86 * FARTHEST, what, fontsize=8)
+                    axes.axvline(stamp, color=MUTED, lw=1.0, ls=(0, (3, 2)))
+                near.text(stamp + 0.05, 0.86 * FARTHEST, reaction.name.replace("_", " ").lower(), fontsize=8)
         figure.legend(
             handles=[Patch(fc=hex_of(colour), label=state.name.lower()) for state, colour in STATES.items()],
             loc="upper left", bbox_to_anchor=(0.065, 0.945), ncols=8, frameon=False, fontsize=8.5, handlelength=1.1,

@@ -4,12 +4,12 @@ The arm stays on the planned path whatever the speed: only the path's clock s ru
 q̇ = q' ṡ, q̈ = q'' ṡ² + q' s̈, q⃛ = q''' ṡ³ + 3 q'' ṡ s̈ + q' s⃛; s̈ and s⃛ are kept so small that all three stay within the
 arm's limits for every ṡ that may come (to brake, with a jerk of its own: `UR5.stop_jerk`), on the piece of the path
 where the arm can be while ṡ changes: a motion that is slow, or still speeding up, brakes harder than one at its
-fastest. Where the arm is not on a new trajectory, ruckig leads over to it.
+fastest. Every way begins and ends at rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,8 +27,10 @@ __all__ = ["Executor", "within_limits"]
 
 SHARE = np.array([0.9, 0.6, 0.4])
 """Of the arm's speed, acceleration and jerk that a motion may use by itself: the rest is for changes of its clock."""
-SAME = (1e-6, 1e-5, 1e-3)
-"""Differences in angle [rad], speed [rad/s] and acceleration [rad/s^2] up to which two states are one."""
+STANDS = 1e-3
+"""Slower than this the arm stands [rad/s]."""
+SAME = 1e-6
+"""From here to there it need not move [rad]."""
 SLOWEST = 1e-3
 """Speed [rad/s] from which on a motion's clock is limited by it."""
 GENTLEST = 0.5
@@ -39,8 +41,7 @@ STEEPEST = (50.0, 2000.0)
 """Changes of the clock's rate that are never needed [1/s, 1/s^2]: a motion that hardly moves would allow any."""
 
 
-@dataclass(frozen=True)
-class _Clock:
+class _Clock(NamedTuple):
     """Where a motion is: its time s [s] and the first two derivatives of s."""
 
     s: float = 0.0
@@ -58,128 +59,89 @@ class Executor:
 
     Attributes:
         q, qd, qdd: (6,) the state last given [rad, rad/s, rad/s^2].
+        slider: share of every speed that it really takes, 0..1: that of the speed slider on a real arm.
     """
 
-    def __init__(self, arm: UR5, dt: float, q: Float[np.ndarray, "6"] | None = None) -> None:
+    def __init__(self, arm: UR5, dt: float, q: Float[np.ndarray, "6"]) -> None:
         if not 0 < dt <= 0.1:
             raise OptionError(f"dt {dt} s is outside (0, 0.1]")
-        self.arm = arm
-        self.dt = dt
-        self.q = np.zeros(6) if q is None else np.array(q, dtype=np.float64)
-        self.qd = np.zeros(6)
-        self.qdd = np.zeros(6)
-        self._limits = np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
-        self._motions: list[_Path | _Bridge] = []
-        self._clock = _Clock()
-        self._pace = ruckig.Ruckig(1)
-        self._change = ruckig.Trajectory(1)
-        self._passed = 0.0  # duration of the motions that are behind [s]
-        self._scale = 1.0
+        self.arm, self.dt, self.slider = arm, dt, 1.0
+        self.q, self.qd, self.qdd = np.array(q, dtype=np.float64), np.zeros(6), np.zeros(6)
+        self._motion: _Motion | None = None
+        self._clock, self._scale = _Clock(), 1.0
+        self._ruckig, self._change = ruckig.Ruckig(1), ruckig.Trajectory(1)
 
     @property
     def done(self) -> bool:
         """It has arrived, or never had anywhere to go."""
-        return not self._motions
+        return self._motion is None
 
     @property
     def at_rest(self) -> bool:
         """It stands."""
-        return bool(np.abs(self.qd).max() < 1e-3)
-
-    @property
-    def progress(self) -> float:
-        """Time since the first waypoint of the trajectory at which the arm is [s]; below 0 on the way there."""
-        return self._clock.s - sum(motion.duration for motion in self._motions[:-1])
+        return bool(np.abs(self.qd).max() < STANDS)
 
     @property
     def remaining(self) -> float:
         """Time to the end at full speed [s]."""
-        return sum(motion.duration for motion in self._motions) - self._clock.s
+        return 0.0 if self._motion is None else self._motion.duration - self._clock.s
 
     def follow(self, trajectory: Trajectory) -> None:
-        """From now on goes along this trajectory, from its first waypoint, joined smoothly from the present state.
+        """From now on goes along this trajectory, from its first waypoint; straight there first where it is not.
 
-        Where the state is that of the trajectory's start, the path is followed exactly. Else ruckig leads over to the
-        start as fast as the limits allow; the way there is not planned, and is short if the start is near. A
-        trajectory too fast for the arm is followed more slowly.
+        That way is not planned, and is short if the start is near. A trajectory too fast for the arm is followed
+        more slowly.
+
+        Raises:
+            OptionError: the arm moves.
         """
-        path = _Path(within_limits(trajectory, self.arm))
-        start = path.derivatives(0.0)
-        # At rest the clock may start at any rate: q' and q'' are 0 there.
-        rest = np.abs(start[1]).max() <= SAME[1] and np.abs(start[2]).max() <= SAME[2]
-        same = all(
-            np.abs(a - b).max() <= tolerance for a, b, tolerance in zip(self._state(), start, SAME, strict=False)
-        )
-        if same:
-            self._motions = [path]
-            self._clock = _Clock(0.0, self._scale if rest else 1.0, 0.0)
-        else:
-            self._motions = [_Bridge(self._state(), start, self._limits), path]
-            self._clock = _Clock(0.0, 1.0, 0.0)
-        self._passed = 0.0
-        self._bounds = _ClockBounds(self._motions, self.arm)
+        if not self.at_rest:
+            raise OptionError(f"another trajectory while the arm moves at {np.abs(self.qd).max():.3f} rad/s")
+        ways = [trajectory]
+        if np.abs(self.q - trajectory.q[0]).max() > SAME:
+            ways.insert(0, Trajectory(np.array([0.0, 0.01]), np.stack([self.q, trajectory.q[0]])))
+        self._motion = _Motion([within_limits(way, self.arm) for way in ways], self.arm)
+        self._clock = _Clock(rate=self._scale)  # at rest it may start at any rate: q' and q'' are 0
 
-    def step(self, scale: float = 1.0) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+    def step(self, scale: float = 1.0) -> Float[np.ndarray, "6"]:
         """Where the arm should be one step of the loop later.
 
         Args:
             scale: share of the planned speed, 0..1; 0 brakes on the path.
 
         Returns:
-            Angles (6,) [rad], speeds (6,) [rad/s] and accelerations (6,) [rad/s^2], within the arm's limits.
+            Angles (6,) [rad], with the speeds and accelerations `qd` and `qdd` within the arm's limits.
         """
-        self._scale = min(max(float(scale), 0.0), 1.0) if np.isfinite(scale) else 0.0
-        if self._motions:
-            self._clock = self._later(self._clock, self._scale)
-            while self._motions and self._clock.s >= self._motions[0].duration - 1e-9:
-                passed = self._motions.pop(0)
-                self._passed += passed.duration
-                self._clock = _Clock(self._clock.s - passed.duration, self._clock.rate, self._clock.change)
-                if not self._motions:
-                    self.q, self.qd, self.qdd = passed.derivatives(passed.duration)[0], np.zeros(6), np.zeros(6)
-                    self._clock = _Clock()
-                    return self._state()
-            self.q, self.qd, self.qdd = self._at(self._clock)
-        return self._state()
+        self._scale = min(max(float(scale * self.slider), 0.0), 1.0) if np.isfinite(scale) else 0.0
+        if self._motion is not None:
+            self._clock = self._later(self._motion, self._clock, self._scale)
+            self.q, self.qd, self.qdd = self._motion.at(self._clock)
+            if self._clock.s >= self._motion.duration - 1e-9:
+                self._motion, self.qd, self.qdd = None, np.zeros(6), np.zeros(6)
+        return self.q
 
     def stopping(self, after: float = 0.0) -> tuple[Float[np.ndarray, "6"], float]:
         """Where the arm comes to rest if it brakes after a while [s] (6,) [rad], and when [s from now]."""
+        if self._motion is None:
+            return self.q, 0.0
         clock, steps = self._clock, 0
-        while steps * self.dt < after - 1e-9 and self._motions:
-            clock, steps = self._later(clock, self._scale), steps + 1
-        while clock.rate > 1e-6 and self._motions and steps * self.dt < after + 5.0:
-            clock, steps = self._later(clock, 0.0), steps + 1
-        return self._at(clock)[0], steps * self.dt
+        while steps * self.dt < after - 1e-9:
+            clock, steps = self._later(self._motion, clock, self._scale), steps + 1
+        while clock.rate > 1e-6 and steps * self.dt < after + 5.0:
+            clock, steps = self._later(self._motion, clock, 0.0), steps + 1
+        return self._motion.at(clock)[0], steps * self.dt
 
-    def _state(self) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-        return self.q, self.qd, self.qdd
-
-    def _later(self, clock: _Clock, scale: float) -> _Clock:
+    def _later(self, motion: _Motion, clock: _Clock, scale: float) -> _Clock:
         """The motion's clock one step later, its rate on the way to the scale."""
         wish = ruckig.InputParameter(1)
         wish.control_interface = ruckig.ControlInterface.Velocity
-        wish.current_position, wish.current_velocity, wish.current_acceleration = (
-            [clock.s], [clock.rate], [clock.change],
-        )  # fmt: skip
+        wish.current_position, wish.current_velocity, wish.current_acceleration = ([each] for each in clock)
         wish.target_velocity, wish.target_acceleration = [scale], [0.0]
-        change, jerk = self._bounds.at(self._passed + clock.s, clock.rate, scale < clock.rate)
+        change, jerk = motion.bounds(clock.s, clock.rate, scale < clock.rate)
         wish.max_acceleration, wish.max_jerk = [change], [jerk]
-        self._pace.calculate(wish, self._change)
+        self._ruckig.calculate(wish, self._change)
         (later,), (rate,), (change,) = self._change.at_time(self.dt)
         return _Clock(max(later, clock.s), min(max(rate, 0.0), 1.0), change)
-
-    def _at(self, clock: _Clock) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-        """The arm's state at a clock's reading."""
-        s = clock.s
-        for motion in self._motions:
-            if s < motion.duration:
-                q, first, second = motion.derivatives(s)
-                return q, first * clock.rate, second * clock.rate**2 + first * clock.change
-            s -= motion.duration
-        if not self._motions:
-            return self.q, np.zeros(6), np.zeros(6)
-        last = self._motions[-1]
-        return last.derivatives(last.duration)[0], np.zeros(6), np.zeros(6)
 
 
 def within_limits(trajectory: Trajectory, arm: UR5) -> Trajectory:
@@ -189,79 +151,37 @@ def within_limits(trajectory: Trajectory, arm: UR5) -> Trajectory:
     return trajectory if slower <= 1 else trajectory.stretched(slower)
 
 
-class _Path:
-    """A trajectory as a motion of its own clock."""
-
-    def __init__(self, trajectory: Trajectory) -> None:
-        self.trajectory = trajectory
-        self.duration = self.trajectory.duration
-
-    def derivatives(self, s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angles and their first two derivatives by the clock."""
-        return self.trajectory.derivatives(self.trajectory.times[0] + min(s, self.duration))[:3]
-
-    def profile(self) -> tuple[np.ndarray, np.ndarray]:
-        """M instants (M,) and the first three derivatives there (M, 3, 6)."""
-        since = np.linspace(0.0, self.duration, 200)
-        return since, np.stack(self.trajectory.derivatives(self.trajectory.times[0] + since)[1:], axis=1)
-
-
-class _Bridge:
-    """The fastest way from one state to another within a share of the limits."""
-
-    def __init__(
-        self,
-        start: tuple[np.ndarray, np.ndarray, np.ndarray],
-        end: tuple[np.ndarray, np.ndarray, np.ndarray],
-        limits: Float[np.ndarray, "3 6"],
-    ) -> None:
-        wish = ruckig.InputParameter(6)
-        wish.current_position, wish.current_velocity, wish.current_acceleration = (part.tolist() for part in start)
-        wish.target_position, wish.target_velocity, wish.target_acceleration = (part.tolist() for part in end)
-        shares = SHARE[:, None] * limits
-        wish.max_velocity, wish.max_acceleration, wish.max_jerk = (part.tolist() for part in shares)
-        self._way = ruckig.Trajectory(6)
-        result = ruckig.Ruckig(6).calculate(wish, self._way)
-        if result != ruckig.Result.Working:
-            raise OptionError(
-                f"no motion leads from {start[0].tolist()} to {end[0].tolist()} within the limits: {result}"
-            )
-        self.duration = float(self._way.duration)
-        self._jerk = limits[2] * SHARE[2]
-
-    def derivatives(self, s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angles and their first two derivatives by the clock."""
-        q, first, second = (np.array(part) for part in self._way.at_time(min(s, self.duration)))
-        return q, first, second
-
-    def profile(self) -> tuple[np.ndarray, np.ndarray]:
-        """M instants (M,) and the first three derivatives there (M, 3, 6); ruckig's jerk is always the greatest."""
-        since = np.linspace(0.0, self.duration, 100)
-        return since, np.array([[*self.derivatives(s)[1:], self._jerk] for s in since])
-
-
-class _ClockBounds:
-    """Greatest sizes of s̈ and s⃛ at which acceleration and jerk stay within the limits.
+class _Motion:
+    """Trajectories one after another on one clock, and how much that clock's rate may change.
 
     Args:
-        motions: one after another.
+        ways: each from where the last one ends.
         arm: its limits.
     """
 
-    def __init__(self, motions: list[_Path | _Bridge], arm: UR5) -> None:
-        profiles = [motion.profile() for motion in motions]
-        begins = np.cumsum([0.0, *(motion.duration for motion in motions[:-1])])
-        self._since = np.concatenate([begin + since for begin, (since, _) in zip(begins, profiles, strict=True)])
-        first, self._second, third = np.moveaxis(np.concatenate([parts for _, parts in profiles]), 1, 0)
+    def __init__(self, ways: list[Trajectory], arm: UR5) -> None:
+        self._ways, self._ends = ways, np.cumsum([way.duration for way in ways])
+        self.duration = float(self._ends[-1])
+        parts = [np.linspace(0.0, way.duration, 200) for way in ways]
+        rates = [way.derivatives(way.times[0] + since)[1:] for way, since in zip(ways, parts, strict=True)]
+        begins = self._ends - [way.duration for way in ways]
+        self._since = np.concatenate([begin + since for begin, since in zip(begins, parts, strict=True)])
+        first, self._second, third = np.concatenate(rates, axis=1)
         self._speed = np.maximum(np.abs(first), SLOWEST)
         self._speeding_up = np.sign(first) * self._second  # below 0 where the motion itself slows down
         self._jerk = np.abs(third)
         self._acceleration, self._max_jerk, self._stop_jerk = arm.max_acceleration, arm.max_jerk, arm.stop_jerk
 
-    def at(self, since: float, rate: float, braking: bool) -> tuple[float, float]:
-        """From so long after the first motion's start [s] on, at a rate of the clock: s̈ [1/s] and s⃛ [1/s²]."""
-        first = max(int(np.searchsorted(self._since, since)) - 1, 0)
-        piece = slice(first, int(np.searchsorted(self._since, since + FORESIGHT)) + 1)
+    def at(self, clock: _Clock) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+        """The arm's state at a clock's reading."""
+        way = min(int(np.searchsorted(self._ends, clock.s, side="right")), len(self._ways) - 1)
+        q, first, second, _ = self._ways[way].derivatives(self._ways[way].times[-1] + clock.s - self._ends[way])
+        return q, first * clock.rate, second * clock.rate**2 + first * clock.change
+
+    def bounds(self, s: float, rate: float, braking: bool) -> tuple[float, float]:
+        """Greatest sizes of s̈ [1/s] and s⃛ [1/s²], from s on at this rate, that keep within the arm's limits."""
+        first = max(int(np.searchsorted(self._since, s)) - 1, 0)
+        piece = slice(first, int(np.searchsorted(self._since, s + FORESIGHT)) + 1)
         speed, along = self._speed[piece], self._speeding_up[piece]
         # While it brakes the rate falls, and a motion that speeds up helps; while it does not, the rate may rise to 1.
         in_use = -np.minimum(along, 0.0) * rate**2 if braking else np.maximum(along, 0.0)

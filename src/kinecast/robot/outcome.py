@@ -56,17 +56,10 @@ class Outcome:
 
     def plain(self) -> dict[str, Any]:
         """As `simulate` writes it to outcome.json."""
+        simple = ("result", "time_to_done_s", "stops", "stopped_s", "contacts", "contacts_moving", "violation_s",
+                  "least_distance_m", "replans", "false_replans")  # fmt: skip
         return {
-            "result": self.result,
-            "time_to_done_s": self.time_to_done,
-            "stops": self.stops,
-            "stopped_s": self.stopped,
-            "contacts": self.contacts,
-            "contacts_moving": self.contacts_moving,
-            "violation_s": self.violation,
-            "least_distance_m": self.least_distance,
-            "replans": self.replans,
-            "false_replans": self.false_replans,
+            **{name: getattr(self, name.removesuffix("_s").removesuffix("_m")) for name in simple},
             "latency_ms": {"p50": self.latency_p50, "p99": self.latency_p99},
             "planning_ms": {"p50": self.planning_p50, "p99": self.planning_p99},
             "forecast": {
@@ -79,12 +72,13 @@ class Outcome:
 
 def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcome:
     """Figures of an episode with these people in this cell."""
-    ticks = episode.ticks
-    dt = float(np.median(np.diff([tick.stamp for tick in ticks]))) if len(ticks) > 1 else 0.0
-    distance = np.array([tick.distance for tick in ticks])
-    moving = np.array([tick.arm_speed > MOVES for tick in ticks])
-    short = np.array([tick.margin < 0 for tick in ticks])
-    waiting = np.array([tick.state in ON_THE_WAY for tick in ticks]) & ~moving
+    rows = [
+        (each.stamp, each.distance, each.arm_speed, each.margin, each.state in ON_THE_WAY) for each in episode.ticks
+    ]
+    stamp, distance, speed, margin, on_the_way = np.array(rows).reshape(-1, 5).T
+    dt = float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
+    moving, short = speed > MOVES, margin < 0
+    waiting = (on_the_way > 0) & ~moving
     stops = [last - first for first, last in runs(waiting) if (last - first) * dt >= LONG_ENOUGH]
     missing = [name for name in cell.order if name not in episode.placed or name in episode.given_up]
     latency, planning = (
@@ -118,15 +112,12 @@ def _is_false(decision: Decision, people: Sequence[Person], cell: Cell) -> bool:
     if decision.reaction not in (Reaction.TAKE_ANOTHER, Reaction.CHANGE_CUBE):
         return False
     left = [name for name, chance in decision.taken.items() if chance >= 0.5 and name != decision.target]
+    cubes = np.array([cell.cube(name).position for name in left]).reshape(-1, 1, 1, 3)
     for person in people:
         wrists = [joint.endswith("wrist") for joint in person.joints]
-        for time in decision.stamp + np.linspace(-0.2, SOON, 13):
-            pose = person.at(float(time))
-            if pose is None:
-                continue
-            for name in left:
-                if np.linalg.norm(pose[wrists] - cell.cube(name).position, axis=1).min() < NEAR:
-                    return False
+        poses = np.stack([person.at(float(time)) for time in decision.stamp + np.linspace(-0.2, SOON, 13)])
+        if (np.linalg.norm(poses[:, wrists] - cubes, axis=-1) < NEAR).any():
+            return False
     return True
 
 
@@ -140,23 +131,17 @@ def write_episodes(
         episodes: and their figures.
         settings: what was asked for.
     """
-    content = {
-        "settings": settings,
-        "episodes": {name: _content(episode, outcome) for name, (episode, outcome) in episodes.items()},
-    }
-    _write(folder / "episode.json", content)
-    for name, (_, outcome) in episodes.items():
+    content = {}
+    for name, (episode, outcome) in episodes.items():
+        content[name] = {
+            "outcome": dataclasses.asdict(outcome),
+            "placed": episode.placed,
+            "given_up": episode.given_up,
+            "decisions": [dataclasses.asdict(each) for each in episode.decisions],
+            "timeline": [dataclasses.asdict(tick) for tick in episode.ticks[::EVERY]],
+        }
         _write((folder if len(episodes) == 1 else folder / name) / "outcome.json", outcome.plain())
-
-
-def _content(episode: Episode, outcome: Outcome) -> dict[str, Any]:
-    return {
-        "outcome": dataclasses.asdict(outcome),
-        "placed": episode.placed,
-        "given_up": episode.given_up,
-        "decisions": [dataclasses.asdict(each) for each in episode.decisions],
-        "timeline": [dataclasses.asdict(tick) for tick in episode.ticks[::EVERY]],
-    }
+    _write(folder / "episode.json", {"settings": settings, "episodes": content})
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:

@@ -11,9 +11,8 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,49 +26,32 @@ RATES = {"CB3": 125.0, "e-Series": 500.0}
 """Of the controllers' real-time loops [Hz]."""
 LONGEST = 1e9
 """Seconds that no controller has been running."""
-AT_ONCE = 65536
-"""Bytes read at once, at most eight times: 5 s of states."""
+AT_ONCE = 1 << 19
+"""Bytes read at once: 5 s of states."""
 
-OUTPUTS = (
-    "timestamp", "actual_q", "actual_TCP_pose", "target_speed_fraction", "speed_scaling", "robot_mode", "runtime_state",
-    "safety_status_bits", "actual_digital_output_bits", "output_int_register_24", "output_int_register_25",
-)  # fmt: skip
-_VECTORS = ("actual_q", "actual_TCP_pose")
-_TYPES = {
-    "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
-    "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
+OUTPUTS = {
+    "timestamp": "DOUBLE", "actual_q": "VECTOR6D", "actual_TCP_pose": "VECTOR6D", "target_speed_fraction": "DOUBLE",
+    "speed_scaling": "DOUBLE", "robot_mode": "INT32", "runtime_state": "UINT32", "safety_status_bits": "UINT32",
+    "actual_digital_output_bits": "UINT64", "output_int_register_24": "INT32", "output_int_register_25": "INT32",
 }  # fmt: skip
+"""What the controller sends, and as what."""
+_FORMATS = {"DOUBLE": "d", "VECTOR6D": "6d", "INT32": "i", "UINT32": "I", "UINT64": "Q", "UINT8": "B"}
 _HEADER = struct.Struct(">HB")
 
 
-@dataclass(frozen=True)
-class Reading:
-    """What the controller says in one of its cycles.
+class Reading(NamedTuple):
+    """What the controller says in one of its cycles."""
 
-    Attributes:
-        stamp: on the controller's clock [s].
-        q: (6,) [rad]; tool: (6,) position [m] and rotation vector [rad] of the TCP in the base's frame.
-        speed_fraction: speed slider times the controller's own scaling, 0..1.
-        robot_mode, runtime_state, safety, outputs: as in the RTDE Guide.
-        program: what `kinecast_ur.script` says it does; echo: the counter that it has seen.
-    """
-
-    stamp: float
-    q: Float[np.ndarray, "6"]
-    tool: Float[np.ndarray, "6"]
-    speed_fraction: float
-    robot_mode: int
+    stamp: float  # on the controller's clock [s]
+    q: Float[np.ndarray, "6"]  # [rad]
+    tool: Float[np.ndarray, "6"]  # position [m] and rotation vector [rad] of the TCP in the base's frame
+    speed_fraction: float  # speed slider times the controller's own scaling, 0..1
+    robot_mode: int  # this and the next three as in the RTDE Guide
     runtime_state: int
     safety: int
     outputs: int
-    program: int
-    echo: int
-
-    @classmethod
-    def of(cls, values: Sequence[Any]) -> Reading:
-        """From the values of `OUTPUTS`."""
-        stamp, q, tool, (slider, scaling) = values[0], values[1:7], values[7:13], values[13:15]
-        return cls(stamp, np.array(q), np.array(tool), min(max(slider * scaling, 0.0), 1.0), *values[15:])
+    program: int  # what `kinecast_ur.script` says it does
+    echo: int  # the counter that it has seen
 
 
 class Rtde:
@@ -77,7 +59,7 @@ class Rtde:
 
     Args:
         host, port: of the controller.
-        inputs: names of what will be written; none for a connection that changes nothing on the controller.
+        inputs: what will be written, and as what; none for a connection that changes nothing on the controller.
         timeout: for the whole opening [s].
 
     Attributes:
@@ -87,11 +69,13 @@ class Rtde:
         ArmError: nobody is there, or speaks another protocol, or a name is unknown or already written by another.
     """
 
-    def __init__(self, host: str, port: int = PORT, inputs: Sequence[str] = (), timeout: float = 2.0) -> None:
-        self._where, self._rest = f"{host}:{port}", b""
+    def __init__(
+        self, host: str, port: int = PORT, inputs: Mapping[str, str] | None = None, timeout: float = 2.0
+    ) -> None:
+        self._where, self._rest, self._room = f"{host}:{port}", b"", memoryview(bytearray(AT_ONCE))
         self._deadline = time.monotonic() + timeout
         try:
-            self._socket: socket.socket | None = socket.create_connection((host, port), timeout)
+            self._socket = socket.create_connection((host, port), timeout)
         except OSError as error:
             raise ArmError(f"{self._where}: cannot be reached ({error})") from None
         try:
@@ -114,51 +98,47 @@ class Rtde:
     @property
     def closed(self) -> bool:
         """Whether the connection is gone."""
-        return self._socket is None
+        return self._socket.fileno() < 0
 
     def close(self) -> None:
         """Ends it; also twice."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        self._socket.close()
 
     def wait(self, seconds: float) -> None:
         """Until something has come, or so long."""
-        if self._socket is None:
+        if self.closed:
             time.sleep(seconds)
         else:
             select.select([self._socket], [], [], seconds)
 
     def readings(self) -> list[Reading]:
         """What has come since the last call, oldest first."""
-        for _ in range(8):
-            try:
-                content = self._socket.recv(AT_ONCE) if self._socket else b""
-            except BlockingIOError:
-                break
-            except OSError:
-                content = b""
-            if not content:
-                self.close()
-                break
-            self._rest += content
-            if len(content) < AT_ONCE:
-                break
+        try:
+            count = self._socket.recv_into(self._room)
+        except BlockingIOError:
+            return []
+        except OSError:
+            count = 0
+        if count == 0:
+            self.close()
+        self._rest += self._room[:count]
+        number, recipe = self._outputs
         found = []
         for kind, payload in self._packages():
-            if kind == b"U" and len(payload) == self._outputs.size and payload[0] == self._recipe_id:
-                values = self._outputs.unpack(payload)[1:]
-                if math.isfinite(sum(values)) and abs(values[0]) < LONGEST:
-                    found.append(Reading.of(values))
+            if kind == b"U" and len(payload) == recipe.size and payload[0] == number:
+                _, stamp, *values = recipe.unpack(payload)
+                if math.isfinite(stamp + sum(values)) and abs(stamp) < LONGEST:
+                    speed = min(max(values[12] * values[13], 0.0), 1.0)
+                    found.append(Reading(stamp, np.array(values[:6]), np.array(values[6:12]), speed, *values[14:]))
         return found
 
     def send(self, *values: int | float) -> None:
         """Writes the inputs, whole or not at all; a controller that takes nothing any more is lost."""
-        if self._socket is None or self._inputs is None:
+        if self._inputs is None:
             return
+        number, recipe = self._inputs
         try:
-            payload = self._inputs.pack(self._inputs_id, *values)
-            package = _HEADER.pack(_HEADER.size + len(payload), ord("U")) + payload
+            package = _package(b"U", recipe.pack(number, *values))
             if self._socket.send(package) < len(package):
                 self.close()
         except (OSError, struct.error):
@@ -180,11 +160,10 @@ class Rtde:
 
     def _ask(self, question: bytes, payload: bytes = b"") -> bytes:
         """A question of the opening, and its answer."""
-        assert self._socket is not None
-        self._socket.sendall(_HEADER.pack(_HEADER.size + len(payload), ord(question)) + payload)
-        while self._socket is not None and (left := self._deadline - time.monotonic()) > 0:
+        self._socket.sendall(_package(question, payload))
+        while not self.closed and (left := self._deadline - time.monotonic()) > 0:
             self._socket.settimeout(left)
-            content = self._socket.recv(AT_ONCE)
+            content = self._socket.recv(4096)
             self._rest += content
             for kind, answer in list(self._packages()):
                 if kind == question:
@@ -193,18 +172,16 @@ class Rtde:
                 break
         raise ArmError(f"{self._where}: does not answer as RTDE")
 
-    def _recipe(self, kind: bytes, names: Sequence[str], before: bytes = b"") -> struct.Struct:
-        """Agrees on what is sent, or written."""
+    def _recipe(self, kind: bytes, names: Mapping[str, str], before: bytes = b"") -> tuple[int, struct.Struct]:
+        """Agrees on what is sent, or written: the recipe's number, and how the packages are laid out."""
         answer = self._ask(kind, before + ",".join(names).encode())
         types = answer[1:].decode("ascii", "replace").split(",")
-        wrong = [f"{name} ({each})" for name, each in zip(names, types, strict=False) if each not in _TYPES]
-        if wrong or len(types) != len(names):
-            raise ArmError(f"{self._where}: does not give {', '.join(wrong) or 'what it is asked for'}")
-        recipe = struct.Struct(">B" + "".join(_TYPES[each] for each in types))
-        if len(recipe.unpack(bytes(recipe.size))) != 1 + sum(6 if name in _VECTORS else 1 for name in names):
-            raise ArmError(f"{self._where}: gives {', '.join(map(' as '.join, zip(names, types, strict=True)))}")
-        if kind == b"O":
-            self._recipe_id = answer[0]
-        else:
-            self._inputs_id = answer[0]
-        return recipe
+        if types != list(names.values()):
+            pairs = zip(names, types, strict=False)
+            wrong = [f"{name} as {found}" for name, found in pairs if found != names[name]]
+            raise ArmError(f"{self._where}: gives {', '.join(wrong) or 'not what it is asked for'}")
+        return answer[0], struct.Struct(">B" + "".join(_FORMATS[each] for each in types))
+
+
+def _package(kind: bytes, payload: bytes) -> bytes:
+    return _HEADER.pack(_HEADER.size + len(payload), ord(kind)) + payload

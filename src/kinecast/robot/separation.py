@@ -19,8 +19,19 @@ from jaxtyping import Float
 from numba import njit
 
 from kinecast.errors import OptionError
+from kinecast.robot.body import BodyCapsules
+from kinecast.robot.ur5 import LinkCapsules
 
-__all__ = ["Separation", "SeparationOptions", "allowed_speed", "closest_points", "separation"]
+__all__ = ["Moving", "Separation", "SeparationOptions", "allowed_speed", "closest_points", "moving", "separation"]
+
+UNKNOWN = 1.6
+"""v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5)."""
+OLDEST = 0.1
+"""A measurement older than this does not say how fast the person is [s]."""
+
+Rows = Float[np.ndarray, "_ 3"]
+Moving = tuple[Rows, Rows, Float[np.ndarray, " _"], Rows, Rows]
+"""K capsules: start and end (K, 3) [m], radius (K,) [m], velocities of start and end (K, 3) [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -30,32 +41,26 @@ class SeparationOptions:
     Attributes:
         reaction: T_r, from a measurement's arrival to the first braking [s]: two control cycles and the bus.
         braking: a, at which the nearest point of the arm surely slows down [m/s²].
-        unknown_speed: v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5).
         least_speed: v_h is never below this [m/s]: who stands still may start.
         intrusion: C [m]. 0, since hands are capsules that reach over the fingertips.
         person_error: Z_d, of a measured joint [m].
         robot_error: Z_r [m]. UR5: repeatability 0.1 mm; its calibration to the camera counts.
-        oldest: a measurement older than this does not say how fast the person is [s].
         across: share of the arm's speed across the line between the nearest points that counts as towards the person.
     """
 
     reaction: float = 0.03
     braking: float = 2.5
-    unknown_speed: float = 1.6
     least_speed: float = 0.15
     intrusion: float = 0.0
     person_error: float = 0.02
     robot_error: float = 0.005
-    oldest: float = 0.1
     across: float = 0.3
 
     def __post_init__(self) -> None:
-        for name in ("reaction", "braking", "unknown_speed", "oldest"):
-            if not getattr(self, name) > 0:
-                raise OptionError(f"{name} {getattr(self, name)} must be above 0")
-        for name in ("least_speed", "intrusion", "person_error", "robot_error", "across"):
-            if not getattr(self, name) >= 0:
-                raise OptionError(f"{name} {getattr(self, name)} must be 0 or more")
+        for name, value in vars(self).items():
+            least = 1e-6 if name in ("reaction", "braking") else 0.0
+            if not value >= least:
+                raise OptionError(f"{name} {value} must be {least:g} or more")
 
     @property
     def constant(self) -> float:
@@ -72,45 +77,42 @@ class Separation:
         required: S_p at the present speed of the pair of capsules with the least margin [m].
         margin: least d − S_p over all pairs [m].
         scale: share of the present speed at which d ≥ S_p for every pair, 0..1; 1 where it may go on or draws back.
-        link: the arm's capsule of that pair, −1 without a person.
     """
 
     distance: float = math.inf
     required: float = 0.0
     margin: float = math.inf
     scale: float = 1.0
-    link: int = -1
+
+
+def moving(capsules: LinkCapsules | BodyCapsules, seconds: float) -> Moving:
+    """The first of two sets of capsules (2, K), as fast as it becomes the second in so long [s]."""
+    (start, later), (end, end_later) = capsules.start, capsules.end
+    return start, end, capsules.radius, (later - start) / seconds, (end_later - end) / seconds
 
 
 def separation(
-    arm: tuple[Float[np.ndarray, "L 3"], Float[np.ndarray, "L 3"], Float[np.ndarray, " L"]],
-    arm_velocity: tuple[Float[np.ndarray, "L 3"], Float[np.ndarray, "L 3"]],
-    person: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"], Float[np.ndarray, " K"]],
-    person_velocity: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]],
-    age: Float[np.ndarray, " K"],
+    arm: Moving,
+    person: Moving,
     options: SeparationOptions,
-    person_velocity_now: tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]] | None = None,
+    age: Float[np.ndarray, " K"] | None = None,
+    person_now: tuple[Rows, Rows] | None = None,
 ) -> Separation:
     """Compares every capsule of the arm with every capsule of the persons.
 
     Args:
-        arm: start, end [m] and radius [m] of its capsules.
-        arm_velocity: of their starts and ends at full speed [m/s].
-        person: capsules of all persons; one that is NaN is left out: nobody knows where it is.
-        person_velocity: of their starts and ends [m/s]; NaN where it is not known.
-        age: (K,) of the measurements [s].
+        arm: its capsules.
+        person: those of all persons; one that is NaN is left out: nobody knows where it is. A velocity that is NaN is
+            not known.
         options: see SeparationOptions.
-        person_velocity_now: another estimate: the one that is faster towards the arm counts; NaN where there is none.
+        age: (K,) of the measurements [s]; 0 by default.
+        person_now: other estimates of the velocities: the one that is faster towards the arm counts; NaN where there is
+            none.
     """
     o = options
-    now = person_velocity if person_velocity_now is None else person_velocity_now
-    result = _separation(
-        *arm, *arm_velocity, *person, *person_velocity, *now, age,
-        o.reaction, o.braking, o.unknown_speed, o.least_speed, o.constant, o.oldest,
-        o.across,
-    )  # fmt: skip
-    distance, required, margin, scale, link = result
-    return Separation(float(distance), float(required), float(margin), float(scale), int(link))
+    age = np.zeros(len(person[2])) if age is None else age
+    constants = o.reaction, o.braking, o.least_speed, o.constant, o.across
+    return Separation(*map(float, _separation(*arm, *person, *(person_now or person[3:]), age, *constants)))
 
 
 @njit(cache=True)
@@ -122,21 +124,10 @@ def closest_points(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarra
         u, v, r = a1[k] - a0[k], b1[k] - b0[k], a0[k] - b0[k]
         aa, bb, ab = aa + u * u, bb + v * v, ab + u * v
         ar, br = ar + u * r, br + v * r
-    s = t = 0.0
-    if aa <= 1e-12 and bb <= 1e-12:
-        return s, t
-    if aa <= 1e-12:
-        return s, min(max(br / bb, 0.0), 1.0)
-    if bb <= 1e-12:
-        return min(max(-ar / aa, 0.0), 1.0), t
     cross = aa * bb - ab * ab
-    if cross > 1e-12:
-        s = min(max((ab * br - ar * bb) / cross, 0.0), 1.0)
-    t = (ab * s + br) / bb
-    if t < 0.0:
-        return min(max(-ar / aa, 0.0), 1.0), 0.0
-    if t > 1.0:
-        return min(max((ab - ar) / aa, 0.0), 1.0), 1.0
+    s = min(max((ab * br - ar * bb) / cross, 0.0), 1.0) if cross > 1e-12 else 0.0
+    t = min(max((ab * s + br) / bb, 0.0), 1.0) if bb > 1e-12 else 0.0
+    s = min(max((ab * t - ar) / aa, 0.0), 1.0) if aa > 1e-12 else 0.0
     return s, t
 
 
@@ -152,10 +143,9 @@ def allowed_speed(room: float, human: float, reaction: float, braking: float) ->
 @njit(cache=True)
 @no_type_check
 def _separation(
-    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, wb0, wb1, age,
-    reaction, braking, unknown, least, constant, oldest, across,
+    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, wb0, wb1, age, reaction, braking, least, constant, across,
 ):  # fmt: skip
-    nearest, worst, required, scale, link = np.inf, np.inf, 0.0, 1.0, -1
+    nearest, worst, required, scale = np.inf, np.inf, 0.0, 1.0
     for i in range(len(ar)):
         for j in range(len(br)):
             s, t = closest_points(a0[i], a1[i], b0[j], b1[j])
@@ -174,8 +164,8 @@ def _separation(
                 speed += ((1 - s) * va0[i, k] + s * va1[i, k]) ** 2
                 human -= direction * ((1 - t) * vb0[j, k] + t * vb1[j, k])
                 gaining -= direction * ((1 - t) * wb0[j, k] + t * wb1[j, k])
-            if not abs(human) < np.inf or age[j] > oldest:
-                human = unknown
+            if not abs(human) < np.inf or age[j] > OLDEST:
+                human = UNKNOWN
             elif gaining > human:
                 human = gaining
             robot += across * math.sqrt(max(speed - robot * robot, 0.0))
@@ -184,7 +174,7 @@ def _separation(
             needed = fixed + human * robot / braking + robot * reaction + robot * robot / (2 * braking)
             nearest = min(nearest, distance)
             if distance - needed < worst:
-                worst, required, link = distance - needed, needed, i
+                worst, required = distance - needed, needed
             if robot > 1e-6 and distance < needed:
                 scale = min(scale, allowed_speed(distance - fixed, human, reaction, braking) / robot)
-    return nearest, required, worst, scale, link
+    return nearest, required, worst, scale

@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from kinecast.errors import OptionError
 from kinecast.robot.body import TRUE_BODY, body_capsules
-from kinecast.robot.separation import SeparationOptions, separation
-from kinecast.robot.ur5 import LinkCapsules
+from kinecast.robot.separation import Moving, SeparationOptions, moving, separation
 
 __all__ = ["Person", "PlayedPerson", "ReactivePerson"]
 
@@ -32,7 +31,6 @@ class PlayedPerson:
     joints: tuple[str, ...]  # names of the J joints (kinecast.body.skeleton)
     stamps: Float[np.ndarray, " N"]  # rising, on the simulation's clock [s]
     positions: Float[np.ndarray, "N J 3"]  # in the cell [m]
-    present: tuple[float, float] = (-np.inf, np.inf)  # when the person is in the cell, from and until [s]
 
     def __post_init__(self) -> None:
         if len(self.stamps) == 0 or not np.all(np.diff(self.stamps) > 0):
@@ -44,17 +42,14 @@ class PlayedPerson:
                 column[~seen] = np.interp(self.stamps[~seen], self.stamps[seen], column[seen])
         object.__setattr__(self, "positions", whole)
 
-    def at(self, time: float) -> Float[np.ndarray, "J 3"] | None:
-        """(J, 3) positions in the cell [m]; None while not in it."""
-        if not self.present[0] <= time < self.present[1]:
-            return None
+    def at(self, time: float) -> Float[np.ndarray, "J 3"]:
+        """(J, 3) positions in the cell [m]."""
         if len(self.stamps) == 1:
             return self.positions[0]
         after = int(np.clip(np.searchsorted(self.stamps, time, side="right"), 1, len(self.stamps) - 1))
         before, end = self.stamps[after - 1], self.stamps[after]
         share = min(max((time - before) / (end - before), 0.0), 1.0)
-        pose: Float[np.ndarray, "J 3"] = (1 - share) * self.positions[after - 1] + share * self.positions[after]
-        return pose
+        return np.asarray((1 - share) * self.positions[after - 1] + share * self.positions[after])
 
 
 class ReactivePerson:
@@ -76,7 +71,7 @@ class ReactivePerson:
         self._blocked_since: float | None = None
         self._tries, self._furthest = 1, 0.0
 
-    def at(self, time: float) -> Float[np.ndarray, "J 3"] | None:
+    def at(self, time: float) -> Float[np.ndarray, "J 3"]:
         """(J, 3) positions in the cell [m]; what is still to come as if nothing were in the way."""
         return self.person.at(self._clock(time))
 
@@ -88,8 +83,8 @@ class ReactivePerson:
         (before, end), (first, last) = self._times[after - 1 : after + 1], self._clocks[after - 1 : after + 1]
         return first + (last - first) / (end - before) * max(time - before, 0.0)
 
-    def mind(self, arm: LinkCapsules, now: float) -> None:
-        """Looks at where the arm is now (N = 1), and slows down if it is in the way."""
+    def mind(self, arm: Moving, now: float) -> None:
+        """Looks at where the arm is now, and slows down if it is in the way."""
         clock = self._clock(now)
         self._times.append(now)
         self._clocks.append(clock)
@@ -101,26 +96,17 @@ class ReactivePerson:
             self._blocked_since, self._tries = None, self._tries + 1
             self._furthest = max(self._furthest, clock)
         wish = -1.0 if back else 1.0
-        here, soon = self.person.at(clock), self.person.at(clock + wish * FORESIGHT)
-        if here is not None and soon is not None:
-            near, later = (self._distance(pose, arm) for pose in (here, soon))
-            blocked = later < MARGIN and later < near
-            if not back and not blocked:
-                self._blocked_since = None
-            elif not back and self._blocked_since is None:
-                self._blocked_since = now
-            wish = 0.0 if blocked else wish
+        poses = (self.person.at(each) for each in (clock, clock + wish * FORESIGHT))
+        bodies = (body_capsules(self.joints, np.stack([pose, pose]), TRUE_BODY) for pose in poses)
+        near, later = (separation(arm, moving(body, 1.0), SeparationOptions()).distance for body in bodies)
+        blocked = later < MARGIN and later < near
+        if not back and not blocked:
+            self._blocked_since = None
+        elif not back and self._blocked_since is None:
+            self._blocked_since = now
+        wish = 0.0 if blocked else wish
         step = CHANGE * (now - self._times[-2])
         self._rate = min(max(wish, self._rate - step), self._rate + step)
-
-    def _distance(self, pose: Float[np.ndarray, "J 3"], arm: LinkCapsules) -> float:
-        """From the body to the arm [m]."""
-        body = body_capsules(self.joints, pose, TRUE_BODY)
-        still, resting = np.zeros_like(body.start), np.zeros_like(arm.start[0])
-        return separation(
-            (arm.start[0], arm.end[0], arm.radius), (resting, resting), (body.start, body.end, body.radius),
-            (still, still), np.zeros(len(body.radius)), SeparationOptions(),
-        ).distance  # fmt: skip
 
 
 Person = PlayedPerson | ReactivePerson

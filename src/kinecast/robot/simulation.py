@@ -6,24 +6,24 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
+from kinecast.errors import OptionError
 from kinecast.robot.async_planner import DeferredPlanner, Solve
 from kinecast.robot.body import TRUE_BODY, OccupancyOptions, body_capsules
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
-from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
-from kinecast.robot.execution import Executor
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
-from kinecast.robot.separation import Separation, SeparationOptions, separation
+from kinecast.robot.separation import Moving, Separation, SeparationOptions, moving, separation
 from kinecast.robot.simulated_person import Person, ReactivePerson
 from kinecast.robot.supervisor import Command, Supervisor
-from kinecast.robot.ur5 import UR5, LinkCapsules
+from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["Predict", "Simulation"]
+__all__ = ["Predict", "SimulatedDriver", "Simulation"]
 
 Predict = Callable[[SkeletonFrame, float], Prediction | None]
 """Takes a frame and the present time; None where nothing is predicted."""
@@ -36,6 +36,56 @@ TRUTH = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robo
 """Monitoring that knows everything."""
 UPRIGHT = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
 """The arm begins as near to this as it can rest: elbow up, over the table's side [rad]."""
+HOLDS = 0.04
+"""A cube is held when its centre is this near to where the fingers close [m]."""
+
+
+class SimulatedDriver:
+    """A kinematic arm with a gripper among cubes: goes where it is told, as fast as its joints can.
+
+    kinecast.robot.ur_driver, which is called alike, moves a real one.
+
+    Args:
+        arm: its kinematics.
+        cell: with the cubes.
+        q: (6,) where it starts [rad].
+        dt: time between two steps [s].
+
+    Attributes:
+        q: (6,) where it is [rad]; gripped: whether the gripper is closed; held: the cube in it.
+        cubes: where each is [m].
+    """
+
+    def __init__(self, arm: UR5, cell: Cell, q: Float[np.ndarray, "6"], dt: float = 0.008) -> None:
+        if not dt > 0:
+            raise OptionError(f"dt {dt} s must be above 0")
+        self.arm, self.dt, self.q = arm, dt, np.array(q, dtype=np.float64)
+        self.cubes = {cube.name: cube.position.copy() for cube in cell.cubes}
+        self.held: str | None = None
+        self.gripped = False
+        self._below = cell.cubes[0].size / 2 - cell.grip
+
+    def move(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+        """Goes there, or as far as the joints' speeds allow, and takes a cube that is held with it."""
+        if np.isfinite(q).all():
+            furthest = self.arm.max_speed * self.dt
+            self.q = self.q + np.clip(q - self.q, -furthest, furthest)
+            if self.held is not None:
+                self.cubes[self.held] = self._between_fingers()
+        return self.q
+
+    def grip(self, closed: bool) -> None:
+        """Closing takes the cube between the fingers, if there is one; opening leaves it where it is."""
+        self.gripped, self.held = closed, None
+        if closed:
+            here = self._between_fingers()
+            away = {name: float(np.linalg.norm(place - here)) for name, place in self.cubes.items()}
+            nearest_cube = min(away, key=away.__getitem__)
+            self.held = nearest_cube if away[nearest_cube] < HOLDS else None
+
+    def _between_fingers(self) -> Float[np.ndarray, " 3"]:
+        T = self.arm.forward_kinematics(self.q)
+        return np.asarray(T[:3, 3] + self._below * T[:3, 2])
 
 
 class Simulation:
@@ -73,7 +123,7 @@ class Simulation:
         self._clock = clock
         chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
         self.planner = DeferredPlanner(solve or chooser.choose, clock=clock)
-        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.planner, body)
+        self.supervisor = Supervisor(self.arm, self.cell, self.planner, q, dt, body)
         self.episode = Episode()
 
     def run(self) -> Episode:
@@ -109,14 +159,14 @@ class Simulation:
             episode.latencies.append(self._clock() - began - planning)
         if planning > 0:
             episode.plannings.append(planning)
-        before = self.driver.state()
-        if command.closed != before.closed:
+        before = self.driver.q
+        if command.closed != self.driver.gripped:
             self.driver.grip(command.closed)
-        capsules = self.arm.capsules(np.stack([before.q, self.driver.move(command.q)]))
-        episode.ticks.append(self._tick(now, capsules, command))
+        arm = moving(self.arm.capsules(np.stack([self.driver.move(command.q), before])), -self.driver.dt)
+        episode.ticks.append(self._tick(now, arm, command))
         for person in self.people:
-            if isinstance(person, ReactivePerson) and person.at(now) is not None:
-                person.mind(LinkCapsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
+            if isinstance(person, ReactivePerson):
+                person.mind(arm, now)
         sequence = supervisor.sequence
         for name in self.cell.order:
             if name not in (*episode.placed, *sequence.remaining, *sequence.given_up):
@@ -127,22 +177,12 @@ class Simulation:
             episode.scenes.append(self._snapshot(now, command))
         return command
 
-    def _tick(self, now: float, capsules: LinkCapsules, command: Command) -> Tick:
-        """The truth about a step, of the arm's capsules before and after it (N = 2)."""
-        dt, decision = self.driver.dt, command.decision
-        velocity = (capsules.start[1] - capsules.start[0]) / dt, (capsules.end[1] - capsules.end[0]) / dt
-        found = [Separation()]
+    def _tick(self, now: float, arm: Moving, command: Command) -> Tick:
+        """The truth about a step, of the arm after it."""
+        decision, found = command.decision, [Separation()]
         for person in self.people:
-            here, soon = person.at(now), person.at(now + MOMENT)
-            if here is None:
-                continue
-            body = body_capsules(person.joints, here, TRUE_BODY)
-            later = body if soon is None else body_capsules(person.joints, soon, TRUE_BODY)
-            speed = (later.start - body.start) / MOMENT, (later.end - body.end) / MOMENT
-            found.append(separation(
-                (capsules.start[1], capsules.end[1], capsules.radius), velocity,
-                (body.start, body.end, body.radius), speed, np.zeros(len(body.radius)), TRUTH,
-            ))  # fmt: skip
+            body = body_capsules(person.joints, np.stack([person.at(now), person.at(now + MOMENT)]), TRUE_BODY)
+            found.append(separation(arm, moving(body, MOMENT), TRUTH))
         worst = min(found, key=lambda each: each.margin)
         return Tick(
             stamp=now,
@@ -151,7 +191,7 @@ class Simulation:
             distance=min(each.distance for each in found),
             required=worst.required,
             margin=worst.margin,
-            arm_speed=float(np.linalg.norm(velocity, axis=-1).max()),
+            arm_speed=float(np.linalg.norm(arm[3:], axis=-1).max()),
             measured=decision.distance,
             limit=decision.separation,
         )
@@ -164,11 +204,10 @@ class Simulation:
             samples = people.predictions[0].samples
             region = samples[:: max(1, len(samples) // SHOWN), :, [2, 5]].astype(np.float32)
         ahead = self.supervisor.ahead(np.linspace(0.0, 1.5, 12))
-        poses = [(person.joints, person.at(now)) for person in self.people]
         return SceneSnapshot(
             stamp=now,
-            q=self.driver.state().q,
-            people=tuple((joints, pose) for joints, pose in poses if pose is not None),
+            q=self.driver.q,
+            people=tuple((person.joints, person.at(now)) for person in self.people),
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
             tube=people.occupancy(now, now + 0.25),

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.robot.expected_time import RISE
 from kinecast.robot.people import PeopleModel
-from kinecast.robot.separation import Separation, SeparationOptions, separation
+from kinecast.robot.separation import Separation, SeparationOptions, moving, separation
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Level", "LimitReason", "Path", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
-
-Path = Callable[[Float[np.ndarray, " N"]], Float[np.ndarray, "N 6"]]
-"""Configurations [rad] so many seconds from now."""
+__all__ = ["Level", "LimitReason", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
 
 SILENCE = 0.2
 """Without a shot for this long, nobody knows who is there [s]."""
@@ -31,34 +27,26 @@ FREE = 0.95
 """Share above which nothing holds it back."""
 BRAKED = 0.5
 """Share below which being held back is said at once."""
+MOMENT = 1e-3
+"""Capsules' velocities are taken over this time [s]."""
 
 
 class LimitReason(Enum):
-    """What holds the arm back."""
+    """What holds the arm back, as it is said of an arm that is slow, or stands."""
 
     NOTHING = "nothing"
-    DOUBT = "a person of whom nobody can say what they will do"
-    SEPARATION = "the safety distance"
-    SILENCE = "the camera"
-    UNSEEN = "a person whose arms were never seen"
+    DOUBT = "nobody can say what the person will do"
+    SEPARATION = "A person is too near to move."
+    SILENCE = "The camera is silent: nobody knows who is there."
+    UNSEEN = "Somebody is there whose arms were never seen."
 
 
-AT_ONCE = {LimitReason.SILENCE, LimitReason.UNSEEN}
+class SpeedLimit(NamedTuple):
+    """How fast the arm may go."""
 
-
-@dataclass(frozen=True)
-class SpeedLimit:
-    """How fast the arm may go.
-
-    Attributes:
-        speed: share of the planned speed, 0..1.
-        reason: what holds the arm back most.
-        separation: what the measured distance asks for at the present speed.
-    """
-
-    speed: float
-    reason: LimitReason
-    separation: Separation
+    speed: float  # share of the planned speed, 0..1
+    reason: LimitReason  # what holds the arm back most
+    separation: Separation  # what the measured distance asks for at the present speed
 
 
 def speed_limit(
@@ -66,8 +54,7 @@ def speed_limit(
     people: PeopleModel,
     monitoring: SeparationOptions,
     q: Float[np.ndarray, "6"],
-    qd: Float[np.ndarray, "6"],
-    path: Path,
+    velocities: tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]],
     speed: float,
     now: float,
 ) -> SpeedLimit:
@@ -77,27 +64,19 @@ def speed_limit(
         arm: its kinematics.
         people: what is known of them.
         monitoring: constants of speed and separation monitoring.
-        q: (6,) where the arm is [rad]; qd: (6,) how fast [rad/s].
-        path: where it will be at full speed.
+        q: (6,) where the arm is [rad].
+        velocities: the present one, and that of the planned path [rad/s].
         speed: share of the planned speed it has now.
         now: [s].
     """
-    moment = 1e-3
-    here, soon = path(np.array([0.0, moment]))
-    capsules = arm.capsules(np.stack([q, q + moment * qd, q + (soon - here)]))
     seen = people.seen(now)
     present, full = (
         separation(
-            (capsules.start[0], capsules.end[0], capsules.radius),
-            ((capsules.start[k] - capsules.start[0]) / moment, (capsules.end[k] - capsules.end[0]) / moment),
-            (seen.start, seen.end, seen.radius),
-            (seen.start_velocity, seen.end_velocity),
-            seen.age,
-            monitoring,
+            moving(arm.capsules(np.stack([q, q + MOMENT * qd])), MOMENT), seen[:5], monitoring, seen.age,
             (seen.start_velocity_now, seen.end_velocity_now),
         )
-        for k in (1, 2)  # at the present velocity, and at the path's own
-    )
+        for qd in velocities
+    )  # fmt: skip
     # The arm may not yet move as its path says, or not as fast: both what it does and what it is about to do count.
     measured = min(full.scale, present.scale * speed if present.scale < 1.0 else 1.0)
     limits = [(1.0, LimitReason.NOTHING)]
@@ -122,32 +101,25 @@ class Level(Enum):
 
 
 class SpeedHysteresis:
-    """Brakes at once and speeds up gently; says at once that it is slower, the rest after a while."""
+    """Brakes at once and speeds up gently; says at once that it has to brake, the rest after a while."""
 
     def __init__(self) -> None:
         self.speed = 0.0
         self.level, self.reason = Level.FULL, LimitReason.NOTHING
-        self._now = 0.0
-        self._level_since = self._reason_since = -float("inf")
+        self._now, self._since = 0.0, -float("inf")
 
-    def begin(self, at_rest: bool) -> None:
-        """On a new path; from rest it begins gently by itself."""
-        if at_rest:
-            self.speed = 1.0
-        self.level, self._level_since = Level.FULL, self._now
+    def begin(self) -> None:
+        """On a new path, which begins gently by itself."""
+        self.speed = 1.0
+        self.level, self._since = Level.FULL, self._now
 
     def update(self, limit: SpeedLimit, most: float, now: float) -> None:
         """Takes in what holds the arm back, and the share that it may go at for other reasons too [0..1]."""
         self.speed = min(most, self.speed + RISE * (now - self._now))
         self._now = now
         level = Level.FULL if limit.speed > FREE else Level.SLOW if limit.speed > STILL else Level.HELD
+        same = level is self.level and limit.reason is self.reason
         braked = level is Level.HELD or (level is Level.SLOW and self.level is Level.FULL and limit.speed < BRAKED)
-        if level is self.level:
-            self._level_since = now
-        elif braked or now - self._level_since >= SETTLE:
-            self.level, self._level_since = level, now
-        at_once = self.reason is LimitReason.NOTHING or {self.reason, limit.reason} & AT_ONCE
-        if limit.reason is self.reason:
-            self._reason_since = now
-        elif at_once or now - self._reason_since >= SETTLE:
-            self.reason, self._reason_since = limit.reason, now
+        blind = {LimitReason.SILENCE, LimitReason.UNSEEN} & {self.reason, limit.reason}
+        if same or braked or blind or now - self._since >= SETTLE:
+            self.level, self.reason, self._since = level, limit.reason, now

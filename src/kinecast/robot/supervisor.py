@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.async_planner import AsyncPlanner
+from kinecast.robot.async_planner import Answer, AsyncPlanner
 from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell
@@ -27,7 +28,7 @@ from kinecast.robot.motions import STEP
 from kinecast.robot.people import PeopleModel
 from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
 from kinecast.robot.separation import Separation
-from kinecast.robot.speed_limit import LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
+from kinecast.robot.speed_limit import MOMENT, LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
 from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
@@ -48,11 +49,8 @@ HELD = 0.1
 """Share of the planned speed below which it does not get anywhere."""
 NEAR_ENOUGH = 0.05
 """A path is followed from where the arm stands if it begins no farther away than this [rad]."""
-NEXT = {
-    Step.REACH: Step.DESCEND, Step.DESCEND: Step.CLOSE, Step.CLOSE: Step.LIFT, Step.LIFT: Step.CARRY,
-    Step.CARRY: Step.LOWER, Step.LOWER: Step.OPEN, Step.OPEN: Step.RISE, Step.RISE: Step.NONE, Step.REST: Step.NONE,
-}  # fmt: skip
-"""What follows a step that has ended."""
+NEXT = dict(pairwise((*tuple(Step)[1:9], Step.NONE))) | {Step.REST: Step.NONE}
+"""What follows a step that has ended: from REACH to RISE in their order."""
 AFTER_EVADING = {
     Step.REACH: Step.REACH, Step.DESCEND: Step.REACH, Step.LIFT: Step.CARRY, Step.CARRY: Step.CARRY,
     Step.LOWER: Step.CARRY,
@@ -60,21 +58,13 @@ AFTER_EVADING = {
 """What a step that was held becomes."""
 
 
-@dataclass(frozen=True, eq=False)
-class Command:
-    """What the arm is to do in the next control step.
+class Command(NamedTuple):
+    """What the arm is to do in the next control step."""
 
-    Attributes:
-        q: (6,) [rad].
-        closed: whether the gripper is to be.
-        decision: the one in force.
-        news: whether it was taken just now.
-    """
-
-    q: Float[np.ndarray, "6"]
-    closed: bool
-    decision: Decision
-    news: bool
+    q: Float[np.ndarray, "6"]  # [rad]
+    closed: bool  # whether the gripper is to be
+    decision: Decision  # in force
+    news: bool  # whether it was taken just now
 
 
 class Supervisor:
@@ -83,15 +73,22 @@ class Supervisor:
     Args:
         arm: its kinematics.
         cell: what is to be done, and where.
-        executor: follows paths; stands where the arm stands.
         planner: where plans are asked for.
+        q: (6,) where the arm stands [rad].
+        dt: of the control steps [s].
         body: radii of the people's limbs.
     """
 
     def __init__(
-        self, arm: UR5, cell: Cell, executor: Executor, planner: AsyncPlanner, body: OccupancyOptions | None = None
+        self,
+        arm: UR5,
+        cell: Cell,
+        planner: AsyncPlanner,
+        q: Float[np.ndarray, "6"],
+        dt: float,
+        body: OccupancyOptions | None = None,
     ) -> None:
-        self.arm, self.cell, self.executor, self.planner = arm, cell, executor, planner
+        self.arm, self.cell, self.planner, self.executor = arm, cell, planner, Executor(arm, dt, q)
         self.people = PeopleModel(body)
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
@@ -109,7 +106,7 @@ class Supervisor:
         self._closed, self._since = False, 0.0
         self._asked = self._not_before = -np.inf
         self._failures, self._trouble = 0, ""
-        self._taken = self._alarm = False  # whether the person was about to take its cube; and nothing was asked since
+        self._taken = False  # whether the person was about to take its cube
         self._held_since: float | None = None
         self._reaction: Reaction | None = None
         self._limit = SpeedLimit(0.0, LimitReason.SILENCE, Separation())
@@ -143,22 +140,20 @@ class Supervisor:
         try:
             self._take_answer(now)
             self._advance(now)
+            here, soon = self.ahead(np.array([0.0, MOMENT]))
+            velocities = self.executor.qd, (soon - here) / MOMENT
             self._limit = speed_limit(
-                self.arm, self.people, self.cell.separation, self.executor.q, self.executor.qd, self.ahead,
-                self._decision.speed, now,
-            )  # fmt: skip
+                self.arm, self.people, self.cell.separation, self.executor.q, velocities, self._decision.speed, now
+            )
             self._evade(now)
             decision = self._decide(now)
         except Exception as error:
             log.exception("control failed at %r", now)
             decision = Decision(now, RobotState.STOPPED, f"Its control failed: {error}.", self.target, speed=0.0)
-        q, _, _ = self.executor.step(decision.speed)
-        last = self._decision
-        news = decision.reaction is not None or (decision.state, decision.target, decision.reason) != (
-            last.state, last.target, last.reason,
-        )  # fmt: skip
+        q = self.executor.step(decision.speed)
+        before, after = ((each.state, each.target, each.reason) for each in (self._decision, decision))
         self._decision = decision
-        return Command(q, self._closed, decision, news)
+        return Command(q, self._closed, decision, decision.reaction is not None or after != before)
 
     # Reactions
 
@@ -168,12 +163,11 @@ class Supervisor:
         places = {name: self.cell.cube(name).position for name in self.sequence.remaining if name != held}
         self.sequence.update(now, self.people.taken(places, now))
         taken = self.target is not None and self.sequence.is_taken(self.target)
-        self._alarm = taken and (self._alarm or not self._taken)
+        if taken and not self._taken:
+            self._asked = -np.inf  # at once
         self._taken = taken
-        due = (self._alarm and self.step is Step.REACH) or now - self._asked >= AGAIN
         under_way = self._trajectory is not None and self.step in (Step.REACH, Step.CARRY) and not self.busy
-        if under_way and due and self.people.predictions:
-            self._alarm = False
+        if under_way and now - self._asked >= AGAIN and self.people.predictions:
             self._ask("better", now)
 
     @property
@@ -197,7 +191,7 @@ class Supervisor:
 
     def _advance(self, now: float) -> None:
         """The next step where one has ended."""
-        if self._trajectory is not None and self.executor.done and self._purpose is not self.step:
+        if self.executor.done and self._purpose is not self.step:
             self._trajectory = None  # the end of a way that was given up
         if self.step is Step.NONE or (self.step is Step.REST and self._then is Step.NONE and self.sequence.remaining):
             self._choose(now)
@@ -208,8 +202,9 @@ class Supervisor:
             if not self.busy and now >= self._not_before:
                 self._ask("path", now)
         elif self.executor.done:
-            if self.step in (Step.LIFT, Step.RISE):
-                self._arrived_as_foretold(now)
+            if self.step in (Step.LIFT, Step.RISE) and self._foretold is not None:
+                self.forecasts.append((now - self._foretold[0], self._foretold[1]))
+                self._foretold = None
             self._begin(NEXT[self.step], now)
 
     def _begin(self, step: Step, now: float) -> None:
@@ -230,17 +225,8 @@ class Supervisor:
         else:  # at rest
             self._stand(Step.REST)
             again, self._then = self._then, Step.NONE
-            if again is Step.CARRY:
-                self._travel(Step.CARRY, now)
-            elif again is Step.REACH:
-                self._stand(Step.NONE)
-                self._choose(now)
-
-    def _arrived_as_foretold(self, now: float) -> None:
-        """Notes how long it took, to be compared."""
-        if self._foretold is not None:
-            self.forecasts.append((now - self._foretold[0], self._foretold[1]))
-            self._foretold = None
+            if again is not Step.NONE:
+                self._travel(again, now)
 
     def _choose(self, now: float) -> None:
         """The next cube; to rest where there is none."""
@@ -250,7 +236,6 @@ class Supervisor:
         self.target = None
         rest = self._places.rest(self.executor.q)
         if len(rest) and self.step is not Step.REST and np.abs(rest - self.executor.q).max(axis=1).min() > 0.05:
-            self._then = Step.NONE
             self._travel(Step.REST, now)
         else:
             self.step = Step.REST
@@ -259,7 +244,7 @@ class Supervisor:
         """Sets out; keeps to the path it is on until there is another."""
         self.step = step
         self._failures, self._trouble = 0, ""
-        if self._trajectory is not None and self.executor.done:
+        if self.executor.done:
             self._trajectory = None
         self._ask("path", now)
 
@@ -281,18 +266,13 @@ class Supervisor:
 
     def _follow(self, trajectory: Trajectory) -> None:
         self._trajectory, self._purpose, self._next = trajectory, self.step, None
-        self._going.begin(at_rest=not self.executor.qd.any())
+        self._going.begin()
         self.executor.follow(trajectory)
 
     # Plans
 
     def _ask(self, why: str, now: float) -> None:
-        """Asks for the best way from where the arm will stand if it brakes when the answer is there.
-
-        Args:
-            why: `better` than what it does, or a `path` for the step it is in.
-            now: [s].
-        """
+        """Asks for the best way, or a `better` one, from where the arm will stand if it brakes at the answer."""
         q = self.executor.q
         options = options_for(self.step, self.target, self.sequence, self.cell, self._places, q)
         if not any(len(option.goals) for option in options):
@@ -315,23 +295,28 @@ class Supervisor:
         return np.stack([np.interp(places, np.arange(len(rows)), column) for column in rows.T], axis=1)
 
     def _take_answer(self, now: float) -> None:
-        if self._next is not None and self.executor.at_rest:
-            choice, self._next = self._next, None
-            assert choice.plan is not None  # as it was looked at before it was kept
-            if np.abs(self.executor.q - choice.plan.trajectory.q[0]).max() < NEAR_ENOUGH:
-                self._adopt(choice, now)
-            else:  # it was held on the way and came to rest elsewhere
-                self._stand(self.step)
-                self._ask("path", now)
+        """Looks whether there is one; follows what it says as soon as the arm stands."""
         answer = self.planner.answer(now)
-        if answer is None:
+        if answer is not None:
+            self._hear(answer, now)
+        if self._next is None or not self.executor.at_rest:
             return
+        choice = self._next
+        assert choice.plan is not None  # as it was looked at before it was kept
+        if np.abs(self.executor.q - choice.plan.trajectory.q[0]).max() < NEAR_ENOUGH:
+            self._choice, self._foretold = choice, (now - choice.wait, choice.foretold)
+            self._follow(choice.plan.trajectory)
+        else:  # it was held on the way and came to rest elsewhere
+            self._stand(self.step)
+            self._ask("path", now)
+
+    def _hear(self, answer: Answer, now: float) -> None:
+        """Takes in an answer; one to the step before comes too late."""
         if answer.choice is not None:
-            if answer.choice.option.step is not self.step:
-                return  # it comes too late
-            self._failures, self._trouble = 0, ""
-            if answer.choice.plan is not None:
-                self._take_up(answer.choice, now)
+            if answer.choice.option.step is self.step:
+                self._failures, self._trouble = 0, ""
+                if answer.choice.plan is not None:
+                    self._take_up(answer.choice)
         elif answer.request.why == "better":
             self._asked = now + RETRY
         elif answer.crashed:
@@ -339,8 +324,8 @@ class Supervisor:
         else:
             self._no_way(answer.reason, now)
 
-    def _take_up(self, choice: Choice, now: float) -> None:
-        """Does something else from now on: at once if it stands, or brakes for it."""
+    def _take_up(self, choice: Choice) -> None:
+        """Brakes for something else."""
         option, under_way = choice.option, self._trajectory is not None
         if option.step is Step.REACH and option.target != self.target:
             if self.target is not None or option.target != self.sequence.remaining[0]:
@@ -350,28 +335,18 @@ class Supervisor:
         elif under_way and self._purpose is self.step and self.step is not Step.REST:
             self._reaction = Reaction.GO_AROUND
             self.replans += 1
-        if self.executor.at_rest:
-            self._adopt(choice, now)
-        else:
-            self._next = choice
-
-    def _adopt(self, choice: Choice, now: float) -> None:
-        """Follows a new path."""
-        assert choice.plan is not None
-        self._choice, self._foretold = choice, (now - choice.wait, choice.foretold)
-        self._follow(choice.plan.trajectory)
+        self._next = choice
 
     def _no_way(self, reason: str, now: float) -> None:
         """Nobody is in the way, and still there is no path: tries again, then gives the cube up."""
         self._failures += 1
         self._trouble, self._not_before = f"No path: {reason}.", now + RETRY
-        if self._failures >= ATTEMPTS:
+        if self._failures >= ATTEMPTS and self.step in (Step.REACH, Step.REST):
             if self.step is Step.REACH:
-                for name in tuple(self.sequence.remaining):
-                    self.sequence.give_up(name)
+                while self.sequence.remaining:
+                    self.sequence.give_up(self.sequence.remaining[0])
                 self.target = None
-            if self.step in (Step.REACH, Step.REST):
-                self._stand(Step.NONE if self.step is Step.REACH else Step.REST)
+            self._stand(Step.NONE if self.step is Step.REACH else Step.REST)
 
     # Decision
 

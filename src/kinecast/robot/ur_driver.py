@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import ArmError, OptionError
-from kinecast.robot.driver import ArmState
 from kinecast.robot.rtde import PORT, Reading, Rtde
 from kinecast.robot.ur5 import UR5
 
@@ -76,31 +75,22 @@ def trouble(reading: Reading) -> ArmStatus | None:
 
 @dataclass
 class CycleCounters:
-    """What became of the controller's cycles: `cycles` = `sent` + those without a target, each for one of three causes.
+    """What became of the controller's cycles: each was `sent`, or is without a target for one of three causes."""
 
-    Attributes:
-        cycles: since the connection was opened.
-        sent: a target, or the order to stand, was written in it.
-        skipped: the controller sent no state: it leaves some out when it is busy.
-        overrun: whoever calls took longer than a cycle.
-        bunched: the state came together with the next: network, or this computer's scheduler.
-        late: of those sent, in how many the state was too old for another target, and the last one was sent again.
-    """
-
-    cycles: int = 0
-    sent: int = 0
-    skipped: int = 0
-    overrun: int = 0
-    bunched: int = 0
-    late: int = 0
+    cycles: int = 0  # since the connection was opened
+    sent: int = 0  # a target, or the order to stand, was written in it
+    skipped: int = 0  # the controller sent no state: it leaves some out when it is busy
+    overrun: int = 0  # whoever calls took longer than a cycle
+    bunched: int = 0  # the state came together with the next: network, or this computer's scheduler
+    late: int = 0  # of those sent: the state was too old for another target, and the last one was sent again
 
 
 class UrDriver:
     """A UR arm that follows while everything is in order, and stands until `resume` after anything that was not.
 
     Call `wait`, then `move`, in every cycle. There is no thread: what is not called writes nothing, and the program
-    on the controller stops the arm when nothing is written. `move`, `state`, `grip` and `wait` never raise; `move`,
-    `state` and `grip` never wait.
+    on the controller stops the arm when nothing is written. `move`, `grip` and `wait` never raise; `move` and `grip`
+    never wait.
 
     Args:
         arm: its limits.
@@ -109,7 +99,7 @@ class UrDriver:
 
     Attributes:
         status: see ArmStatus; counters: see CycleCounters.
-        reading: the newest state; sent: (6,) the newest target [rad].
+        reading: the newest state, also where the connection is lost; sent: (6,) the newest target [rad].
 
     Raises:
         ArmError: see Rtde.
@@ -119,21 +109,23 @@ class UrDriver:
         if not 0 <= gripper <= 17:
             raise OptionError(f"gripper {gripper}: digital outputs are 0 to 17")
         bank = ("standard", "configurable", "tool")[gripper // 8]
-        registers = [f"input_double_register_{k}" for k in range(24, 30)]
-        self._names = ("input_int_register_24", "input_int_register_25", *registers,
-                       f"{bank}_digital_output_mask", f"{bank}_digital_output")  # fmt: skip
+        self._inputs = {
+            "input_int_register_24": "INT32", "input_int_register_25": "INT32",
+            **{f"input_double_register_{k}": "DOUBLE" for k in range(24, 30)},
+            f"{bank}_digital_output_mask": "UINT8", f"{bank}_digital_output": "UINT8",
+        }  # fmt: skip
         self._arm, self._host, self._port, self._gripper = arm, host, port, gripper
         self._orders = itertools.count(int(time.time()) & 0xFFFFFF)  # that no earlier connection has used
         self.counters = CycleCounters()
         self._counter = self._order = 0
         self._grip: bool | None = None  # what the gripper is yet to be told
-        self._news = self._unserved = False  # whether the newest state is news to the caller, and had no answer
+        self._unserved = False  # whether the newest state had no answer
         self._since = 0.0
         self._connect()
 
     def _connect(self) -> None:
         """Opens the connection, and waits for the first state."""
-        rtde = Rtde(self._host, self._port, self._names)
+        rtde = Rtde(self._host, self._port, self._inputs)
         deadline = time.monotonic() + FIRST
         while not (readings := rtde.readings()):
             if rtde.closed or time.monotonic() > deadline:
@@ -154,19 +146,17 @@ class UrDriver:
         """How much later than the fastest one the newest state has come, and the time since [s]."""
         return time.monotonic() - self.reading.stamp - self._offset
 
-    def wait(self, seconds: float = 0.1) -> bool:
-        """Until the controller's next cycle; False where none has begun for so long."""
+    def wait(self, seconds: float = 0.1) -> None:
+        """Until there is a state of the controller's that had no answer, or so long."""
         self._look()
-        if not self._news:
+        if not self._unserved:
             self._rtde.wait(seconds)
             self._look(waited=True)
-        begun, self._news = self._news, False
-        return begun
 
-    def state(self) -> ArmState:
-        """What the arm measures now; where the connection is lost, what it measured last."""
-        self._look()
-        return ArmState(self.reading.q.copy(), bool(self.reading.outputs >> self._gripper & 1))
+    @property
+    def gripped(self) -> bool:
+        """Whether the gripper was closed in the newest state."""
+        return bool(self.reading.outputs >> self._gripper & 1)
 
     def move(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
         """Sends the next target [rad]: q, or as far on the way there as speeds and the speed slider allow.
@@ -175,13 +165,16 @@ class UrDriver:
             (6,) the one sent; the same again while the arm is to stand.
         """
         self._look()
-        if self.status is ArmStatus.OK:
-            self._check(q)
+        if self.status is ArmStatus.OK and not self._may_be(q):
+            self._stop(ArmStatus.REFUSED)
         if self.status is ArmStatus.OK and self._unserved:  # one step a cycle, however often it is called
             if self.age > LATE * self.dt:
                 self.counters.late += 1
             else:
-                self.sent = self._towards(q)
+                furthest = self._arm.max_speed * self.dt * self.reading.speed_fraction
+                way = q - self.sent
+                slowest = float(np.max(np.abs(way) / np.maximum(furthest, 1e-300)))  # cycles that its joint needs
+                self.sent = self.sent + way / max(slowest, 1.0)
         self._send()
         return self.sent.copy()
 
@@ -228,45 +221,33 @@ class UrDriver:
             passed = max(round((reading.stamp - self.reading.stamp) * self._rtde.rate), 1)
             c.cycles += passed
             c.skipped += passed - 1
-            self._offset = min(self._offset + DRIFT * passed / self._rtde.rate, now - reading.stamp)
+            self._offset = min(self._offset + DRIFT * passed * self.dt, now - reading.stamp)
             self.reading = reading
         if readings:
             c.overrun += self._unserved + (0 if waited else len(readings) - 1)
             c.bunched += len(readings) - 1 if waited else 0
-            self._news = self._unserved = True
-        self._judge()
-
-    def _judge(self) -> None:
-        """Stops the arm where anything is not in order."""
+            self._unserved = True
         if self._rtde.closed:
             self._stop(ArmStatus.DISCONNECTED)
-        elif self.status is ArmStatus.OK:
-            reading = self.reading
-            silent = time.monotonic() - self._since > 2 * PATIENCE and (
-                reading.program != FOLLOWS or self._counter - reading.echo > PATIENCE * self._rtde.rate
-            )
-            if (problem := trouble(reading)) is not None:
-                self._stop(problem)
-            elif self.age > PATIENCE:
-                self._stop(ArmStatus.LATE)
-            elif silent:
-                self._stop(ArmStatus.NO_PROGRAM)
+        elif self.status is ArmStatus.OK and (problem := self._problem()) is not None:
+            self._stop(problem)
 
-    def _check(self, q: Float[np.ndarray, "6"]) -> None:
-        """Stops the arm where it is told to be where it may not."""
+    def _problem(self) -> ArmStatus | None:
+        """What is not in order, of an arm that should follow."""
+        reading = self.reading
+        if (problem := trouble(reading)) is not None:
+            return problem
+        if self.age > PATIENCE:
+            return ArmStatus.LATE
+        deaf = reading.program != FOLLOWS or self._counter - reading.echo > PATIENCE * self._rtde.rate
+        return ArmStatus.NO_PROGRAM if deaf and time.monotonic() - self._since > 2 * PATIENCE else None
+
+    def _may_be(self, q: Float[np.ndarray, "6"]) -> bool:
+        """Whether a target is finite, in range, and not too far ahead of the arm."""
         low, high = self._arm.q_range.T
-        inside = np.shape(q) == (6,) and bool(np.isfinite(q).all() and (q >= low).all() and (q <= high).all())
-        ahead = np.abs(np.stack([q - self.sent, self.sent - self.reading.q])).max() if inside else np.inf
-        if not ahead <= LEAD:
-            self._stop(ArmStatus.REFUSED)
-
-    def _towards(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-        """As far on the straight way to q as all joints can go in a cycle."""
-        step = q - self.sent
-        furthest = self._arm.max_speed * self.dt * self.reading.speed_fraction
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.nanmin(np.append(furthest / np.abs(step), 1.0))
-        return self.sent + share * step
+        if np.shape(q) != (6,) or not ((q >= low) & (q <= high)).all():
+            return False
+        return bool(np.abs([q - self.sent, self.sent - self.reading.q]).max() <= LEAD)
 
     def _stop(self, status: ArmStatus) -> None:
         """Tells the arm to stand, at once."""
@@ -282,4 +263,4 @@ class UrDriver:
         self._rtde.send(self._counter & 0x7FFFFFFF, order, *self.sent.tolist(), *outputs)
         self._grip = None
         self.counters.sent += self._unserved
-        self._news = self._unserved = False
+        self._unserved = False

@@ -11,15 +11,7 @@ __all__ = ["reason_of", "state_of"]
 
 
 def state_of(step: Step, finished: bool, has_path: bool, searching: bool, going: SpeedHysteresis) -> RobotState:
-    """The state's name.
-
-    Args:
-        step: of the pick and place.
-        finished: nothing is left to do.
-        has_path: there is a path to follow.
-        searching: another one is sought meanwhile.
-        going: how fast it goes, and what holds it back.
-    """
+    """The state's name: in a step, or finished with all of them; with a path to follow, or searching for another."""
     held = has_path and going.level is Level.HELD
     if going.reason in (LimitReason.SILENCE, LimitReason.UNSEEN) or (held and going.reason is LimitReason.SEPARATION):
         return RobotState.STOPPED
@@ -54,10 +46,7 @@ def reason_of(
         instead = f"{target} first" if target else "back up"
         return f"The person reaches for {' and '.join(taken) or 'the cube'}: {instead}."
     if state is RobotState.STOPPED:
-        return {
-            LimitReason.SILENCE: "The camera is silent: nobody knows who is there.",
-            LimitReason.UNSEEN: "Somebody is there whose arms were never seen.",
-        }.get(cause, "A person is too near to move.")
+        return cause.value
     if state is RobotState.DONE:
         missing = f", without {' and '.join(sequence.given_up)}: no way there" if sequence.given_up else ""
         return f"Every cube is in its place{missing}."
@@ -68,6 +57,5 @@ def reason_of(
     if state is RobotState.REPLANNING:
         return f"Another path is sought {errand}; meanwhile it slows down."
     if state is RobotState.SLOWED:
-        why = "nobody can say what the person will do" if cause is LimitReason.DOUBT else "a person is near"
-        return f"On the way {errand}, slowly: {why}."
+        return f"On the way {errand}, slowly: {cause.value if cause is LimitReason.DOUBT else 'a person is near'}."
     return f"{errand[0].upper()}{errand[1:]}."

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import jaxtyping
 import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule
+from kinecast.robot.camera import Camera, CameraFrame
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.planner import Planner
+from kinecast.robot.simulated_person import Person, PlayedPerson
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, Status
 
@@ -20,8 +26,17 @@ TABLE = Box(np.array([0.0, 0.0, -0.06]), np.array([2.0, 2.0, 0.1]))
 POST = [-0.45, 0.0, 0.0, -0.45, 0.0, 0.15, 0.06]
 """Between them, low enough to reach over."""
 WALL = [[-0.9, 0.0, z, -0.3, 0.0, z, 0.06] for z in (0.1, 0.25, 0.4, 0.55, 0.7)]
+FAR_AWAY = 50.0
 SEALED = [[-1.2, 0.0, z, 1.2, 0.0, z, 0.15] for z in np.arange(0.0, 1.6, 0.2)]
 """No way leads past it."""
+
+
+@pytest.fixture(scope="module")
+def without_checks() -> Iterator[None]:
+    """Thousands of steps are too many to check every shape in; one short episode does (test_simulation)."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="session")
@@ -42,6 +57,34 @@ def planner(arm: UR5, table: Scene) -> Planner:
 @pytest.fixture(scope="session")
 def checker(planner: Planner) -> CollisionChecker:
     return planner.checker
+
+
+@dataclass(frozen=True, eq=False)
+class Visitor(PlayedPerson):
+    """Far away but from and until [s]."""
+
+    present: tuple[float, float] = (-np.inf, np.inf)
+
+    def at(self, time: float) -> np.ndarray:
+        return super().at(time) + (0.0 if self.present[0] <= time < self.present[1] else 2 * FAR_AWAY)
+
+
+@dataclass
+class FaultyCamera(Camera):
+    """Sees nobody who is far away; says nothing, or sees no joint, from and until [s]."""
+
+    silent: tuple[tuple[float, float], ...] = ()
+    blind: tuple[tuple[float, float], ...] = ()
+
+    def shots(self, now: float, people: Sequence[Person]) -> list[CameraFrame]:
+        found = []
+        for shot in super().shots(now, people):
+            nan = np.nan if any(start <= shot.stamp < end for start, end in self.blind) else 0.0
+            if not any(start <= shot.stamp < end for start, end in self.silent):
+                near = (frame for frame in shot.frames if np.nanmin(frame.positions) < FAR_AWAY)
+                frames = (replace(frame, positions=frame.positions + nan) for frame in near)
+                found.append(CameraFrame(shot.stamp, tuple(frames)))
+        return found
 
 
 def posts(*rows: list[float]) -> Scene:

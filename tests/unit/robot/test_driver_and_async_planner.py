@@ -12,9 +12,9 @@ from kinecast.errors import OptionError
 from kinecast.robot.async_planner import AsyncPlanner, DeferredPlanner, ThreadPlanner
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Chooser, Option, Request
-from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.pick_place import VERTICAL, Step, nearest, postures, straight
 from kinecast.robot.planner import NoPlan, Plan, Planner
+from kinecast.robot.simulation import SimulatedDriver
 from kinecast.robot.ur5 import UR5
 
 START = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
@@ -29,7 +29,7 @@ def test_the_simulated_arm_is_no_faster_than_its_joints(arm: UR5, cell: Cell) ->
     driver = SimulatedDriver(arm, cell, START)
     sent = driver.move(START + 1.0)
     np.testing.assert_allclose(sent - START, arm.max_speed * driver.dt)
-    np.testing.assert_array_equal(driver.state().q, sent)
+    np.testing.assert_array_equal(driver.q, sent)
     np.testing.assert_array_equal(driver.move(np.full(6, np.nan)), sent)
 
 
@@ -53,7 +53,7 @@ def test_nothing_is_held_where_no_cube_is(arm: UR5, cell: Cell) -> None:
     driver = SimulatedDriver(arm, cell, START)
     driver.grip(True)
     assert driver.held is None
-    assert driver.state().closed
+    assert driver.gripped
 
 
 def test_an_impossible_step_is_refused(arm: UR5, cell: Cell) -> None:

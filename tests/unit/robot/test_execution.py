@@ -23,11 +23,12 @@ def path(start: np.ndarray = HOME, end: np.ndarray = END, seconds: float = 1.8) 
     return Trajectory(5.0 + seconds * s, start + (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * (end - start))
 
 
-def run(executor: Executor, scale: Callable[[int], float], most: int = 2000) -> np.ndarray:
+def run(executor: Executor, scale: Callable[[int], float] = lambda _: 1.0, most: int = 1000) -> np.ndarray:
     """(N, 3, 6) states until it has arrived."""
-    states = [executor.step(scale(0))]
-    while not executor.done and len(states) < most:
-        states.append(executor.step(scale(len(states))))
+    states: list[tuple[np.ndarray, ...]] = []
+    while not (states and executor.done) and len(states) < most:
+        executor.step(scale(len(states)))
+        states.append((executor.q, executor.qd, executor.qdd))
     return np.array(states)
 
 
@@ -50,7 +51,7 @@ def off_the_path(states: np.ndarray, trajectory: Trajectory) -> float:
 def test_at_full_speed_it_arrives_as_planned(arm: UR5) -> None:
     executor = Executor(arm, DT, HOME)
     executor.follow(path())
-    states = run(executor, lambda _: 1.0)
+    states = run(executor)
     np.testing.assert_allclose(states[-1], [END, np.zeros(6), np.zeros(6)], atol=1e-9)
     assert len(states) * DT == pytest.approx(1.8, abs=2 * DT)
     assert_within_limits(arm, states)
@@ -85,23 +86,19 @@ def test_whatever_the_speed_it_stays_on_the_path_and_within_the_limits(arm: UR5,
 def test_it_brakes_within_a_quarter_of_a_second_wherever_it_is(arm: UR5, steps: int) -> None:
     executor = Executor(arm, DT, HOME)
     executor.follow(path())
-    for _ in range(steps):
-        executor.step(1.0)
-    states = [executor.step(0.0)]
-    while np.abs(states[-1][1]).max() > 1e-3:
-        states.append(executor.step(0.0))
-    assert len(states) * DT < 0.25
-    assert_within_limits(arm, np.array(states), braked=True)
+    run(executor, most=steps)
+    states = run(executor, lambda _: 0.0, most=round(0.25 / DT))
+    assert executor.at_rest
+    assert_within_limits(arm, states, braked=True)
 
 
 def test_it_brakes_on_the_path(arm: UR5) -> None:
     executor = Executor(arm, DT, HOME)
     executor.follow(path())
-    for _ in range(110):
-        executor.step(1.0)
+    run(executor, most=110)
     expected, seconds = executor.stopping()
     assert seconds < 0.25
-    states = np.array([executor.step(0.0) for _ in range(60)])
+    states = run(executor, lambda _: 0.0, most=60)
     np.testing.assert_allclose(states[-1, 0], expected, atol=1e-6)
     assert np.abs(states[-1, 1]).max() < 1e-6
     assert off_the_path(states, path()) < 1e-3
@@ -110,10 +107,13 @@ def test_it_brakes_on_the_path(arm: UR5) -> None:
 def test_from_anywhere_else_it_is_led_to_the_start(arm: UR5) -> None:
     executor = Executor(arm, DT, HOME)
     executor.follow(path())
-    first = [executor.step(1.0) for _ in range(120)]
-    executor.follow(path(HOME + 0.1, HOME - 0.5))
-    assert executor.progress < 0
-    states = np.array(first + list(run(executor, lambda k: 0.5 if k % 50 < 20 else 1.0)))
+    first = run(executor, most=120)
+    with pytest.raises(OptionError, match="while the arm moves"):
+        executor.follow(path(HOME + 0.1, HOME - 0.5))
+    stopping = run(executor, lambda _: 0.0, most=round(0.25 / DT))
+    executor.follow(path(executor.q + 0.05, HOME - 0.5))
+    assert executor.remaining > 1.8
+    states = np.concatenate([first, stopping, run(executor, lambda k: 0.5 if k % 50 < 20 else 1.0)])
     assert_within_limits(arm, states, braked=True)
     np.testing.assert_allclose(states[-1, 0], HOME - 0.5, atol=1e-9)
 
@@ -129,15 +129,12 @@ def test_a_trajectory_too_fast_for_the_arm_is_followed_more_slowly(arm: UR5) -> 
 def test_without_a_trajectory_it_rests(arm: UR5) -> None:
     executor = Executor(arm, DT, HOME)
     assert executor.done
-    for _ in range(3):
-        q, qd, qdd = executor.step()
-    np.testing.assert_array_equal(q, HOME)
-    assert not qd.any()
-    assert not qdd.any()
+    states = run(executor, most=3)
+    np.testing.assert_array_equal(states[-1], [HOME, np.zeros(6), np.zeros(6)])
     assert executor.stopping()[1] == 0
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, 0.5, np.nan])
 def test_an_impossible_step_is_refused(arm: UR5, dt: float) -> None:
     with pytest.raises(OptionError, match="dt"):
-        Executor(arm, dt)
+        Executor(arm, dt, HOME)

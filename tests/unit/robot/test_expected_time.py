@@ -68,7 +68,7 @@ def test_errors_are_shares_of_the_time_with_nobody_there() -> None:
 
 def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     """Against the executor, slowed by the same monitoring at every control step."""
-    from kinecast.robot.separation import separation
+    from kinecast.robot.separation import moving, separation
     from kinecast.robot.trajectory import Trajectory
 
     rows, body = way(arm), motions(1.17)
@@ -76,16 +76,14 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     executor, dt, steps = Executor(arm, 0.008, rows[0]), 0.008, 0
     trajectory = Trajectory(STEP * np.arange(len(rows)), rows)
     executor.follow(trajectory)
-    person = body.start[0, 0], body.end[0, 0], body.radius
-    still = np.zeros_like(person[0]), np.zeros_like(person[0])
+    still = np.zeros_like(body.start[0, 0])
+    person = body.start[0, 0], body.end[0, 0], body.radius, still, still
     rate = 1.0
     while not executor.done and steps < 2000:
-        before = executor.progress
+        before = trajectory.duration - executor.remaining
         ahead = trajectory.at(before + np.array([0.0, 1e-3]))[0]
-        capsules = arm.capsules(ahead)
-        links = capsules.start[0], capsules.end[0], capsules.radius
-        velocity = (capsules.start[1] - links[0]) / 1e-3, (capsules.end[1] - links[1]) / 1e-3
-        found = separation(links, velocity, person, still, np.full(len(person[2]), 0.1), CELL.separation)
+        links = moving(arm.capsules(ahead), 1e-3)
+        found = separation(links, person, CELL.separation, np.full(len(still), 0.1))
         rate = min(found.scale, rate + 3.0 * dt)
         executor.step(rate)
         steps += 1

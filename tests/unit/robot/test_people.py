@@ -23,7 +23,7 @@ def shown(acceleration: float, shots: int = 6, speed: float = 0.3) -> PeopleMode
     for stamp in 1.0 - np.arange(shots)[::-1] / 30:
         since = stamp - 1.0
         positions = REST + np.array([speed * since + acceleration * since**2 / 2, 0.0, 0.0])
-        people.see(CameraFrame(stamp, stamp, (SkeletonFrame(float(stamp), ARM_JOINTS, positions),)))
+        people.see(CameraFrame(stamp, (SkeletonFrame(float(stamp), ARM_JOINTS, positions),)))
     return people
 
 
@@ -55,7 +55,7 @@ def test_the_model_knows_place_speed_and_age() -> None:
     people = PeopleModel()
     for stamp in np.arange(20) / 30:
         positions = POSE + np.array([0.5 * stamp, 0.0, 0.0])
-        people.see(CameraFrame(stamp, stamp, (SkeletonFrame(float(stamp), JOINTS, positions, "a"),)))
+        people.see(CameraFrame(stamp, (SkeletonFrame(float(stamp), JOINTS, positions, "a"),)))
     seen = people.seen(0.7)
     truth = body_capsules(JOINTS, positions)
     np.testing.assert_allclose(seen.start, truth.start, atol=1e-12)
@@ -69,7 +69,7 @@ def test_a_lost_wrist_stays_where_it_was_grows_old_and_has_no_speed() -> None:
         positions = POSE.copy()
         if k >= 5:
             positions[2] = np.nan
-        people.see(CameraFrame(k / 30, k / 30, (SkeletonFrame(k / 30, JOINTS, positions, "a"),)))
+        people.see(CameraFrame(k / 30, (SkeletonFrame(k / 30, JOINTS, positions, "a"),)))
     seen = people.seen(9 / 30)
     forearm, hand, trunk = 1, 2, 7
     np.testing.assert_allclose(seen.end[forearm], POSE[2])
@@ -81,18 +81,18 @@ def test_a_lost_wrist_stays_where_it_was_grows_old_and_has_no_speed() -> None:
 
 def test_who_is_on_no_shot_for_a_while_has_left_but_a_silent_camera_says_nothing() -> None:
     people = PeopleModel()
-    people.see(CameraFrame(0.0, 0.0, (SkeletonFrame(0.0, JOINTS, POSE, "a"),)))
+    people.see(CameraFrame(0.0, (SkeletonFrame(0.0, JOINTS, POSE, "a"),)))
     assert people.persons == ("a",)
     assert people.seen(10.0).age.min() == pytest.approx(10.0)
     for k in range(1, 20):
-        people.see(CameraFrame(k / 30, k / 30, ()))
+        people.see(CameraFrame(k / 30, ()))
     assert people.persons == ()
     assert len(people.seen(1.0).age) == 0
 
 
 def test_a_person_never_seen_whole_is_named_and_old_shots_are_passed_over() -> None:
     people, nowhere = PeopleModel(), np.full_like(POSE, np.nan)
-    people.see(CameraFrame(1.0, 1.0, (SkeletonFrame(1.0, JOINTS, nowhere, "ghost"),)))
+    people.see(CameraFrame(1.0, (SkeletonFrame(1.0, JOINTS, nowhere, "ghost"),)))
     assert people.unseen() == ["ghost"]
-    people.see(CameraFrame(0.5, 1.0, (SkeletonFrame(0.5, JOINTS, POSE, "late"),)))
+    people.see(CameraFrame(0.5, (SkeletonFrame(0.5, JOINTS, POSE, "late"),)))
     assert people.persons == ("ghost",)

@@ -11,7 +11,8 @@ from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import replayed_person
 from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
-from kinecast.robot.ur5 import LinkCapsules
+
+from .conftest import FaultyCamera
 
 JOINTS = (
     "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist", "head", "pelvis",
@@ -20,6 +21,10 @@ POSE = np.array([
     [0.0, 0.2, 1.4], [0.1, 0.25, 1.1], [0.35, 0.2, 1.05],
     [0.0, -0.2, 1.4], [0.1, -0.25, 1.1], [0.35, -0.2, 1.05], [0.05, 0.0, 1.65], [0.0, 0.0, 0.9],
 ])  # fmt: skip
+
+STILL = np.zeros((1, 3))
+THERE = np.array([[1.0, 0.2, 0.9]]), np.array([[1.0, 0.2, 1.3]]), np.array([0.05]), STILL, STILL
+"""An arm in the way."""
 
 
 def mover(speed: float = 0.5, duration: float = 3.0) -> PlayedPerson:
@@ -36,35 +41,30 @@ def test_a_played_person_moves_evenly_and_stands_before_and_after() -> None:
     np.testing.assert_allclose(person.at(50.0), POSE + np.array([1.5, 0, 0]))
 
 
-def test_gaps_in_a_recording_are_bridged_and_absence_is_none() -> None:
+def test_gaps_in_a_recording_are_bridged() -> None:
     positions = np.repeat(POSE[None], 5, axis=0)
     positions[:, 2, 0] += np.arange(5.0)
     positions[2, 2] = np.nan
-    person = PlayedPerson("a", JOINTS, np.arange(5.0), positions, present=(1.0, 3.0))
+    person = PlayedPerson("a", JOINTS, np.arange(5.0), positions)
     assert person.at(2.0)[2, 0] == pytest.approx(2.35)
-    assert person.at(0.5) is None
-    assert person.at(3.0) is None
 
 
 def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:
     person = ReactivePerson(mover(), patience=9.0)
-    there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
-    gone = LinkCapsules(there.start + 9.0, there.end + 9.0, there.radius)
     for k in range(500):
-        person.mind(there, 0.008 * k)
+        person.mind(THERE, 0.008 * k)
     reached = person.at(4.0)[2, 0]
     assert 0.55 < reached < 0.85
     for k in range(500, 900):
-        person.mind(gone, 0.008 * k)
+        person.mind((THERE[0] + 9.0, THERE[1] + 9.0, *THERE[2:]), 0.008 * k)
     assert person.at(7.2)[2, 0] > 1.4
     assert person.at(4.0)[2, 0] == pytest.approx(reached), "what was done stays done"
 
 
 def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again() -> None:
     person = ReactivePerson(mover(), patience=1.0)
-    there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
     for k in range(1000):
-        person.mind(there, 0.008 * k)
+        person.mind(THERE, 0.008 * k)
     hand = np.array([person.at(0.008 * k)[2, 0] for k in range(1000)])
     assert hand.max() < 0.85
     first = int(np.argmax(hand > 0.6))
@@ -76,11 +76,16 @@ def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again(
 def test_the_camera_takes_every_shot_once_late_and_the_same_for_the_same_seed() -> None:
     person = mover()
     one, other = Camera(delay=0.05, seed=3), Camera(delay=0.05, seed=3)
-    shots = [shot for k in range(250) for shot in one.shots(k / 125, [person])]
+    shots, arrivals = [], []
+    for k in range(250):
+        for shot in one.shots(k / 125, [person]):
+            shots.append(shot)
+            arrivals.append(k / 125)
     at_once = other.shots(2.0, [person])
     stamps = np.array([shot.stamp for shot in shots])
     assert np.all(np.diff(stamps) > 0.03)
-    assert all(shot.arrival == pytest.approx(shot.stamp + 0.05) for shot in shots)
+    late = np.array(arrivals) - stamps
+    assert 0.05 - 1e-9 <= late.min() <= late.max() < 0.05 + 1 / 125
     for a, b in zip(shots, at_once, strict=False):
         np.testing.assert_array_equal(a.frames[0].positions, b.frames[0].positions)
     errors = np.concatenate([shot.frames[0].positions - person.at(shot.stamp) for shot in shots]).ravel()
@@ -89,7 +94,7 @@ def test_the_camera_takes_every_shot_once_late_and_the_same_for_the_same_seed() 
 
 
 def test_the_camera_falls_silent_goes_blind_and_loses_arms() -> None:
-    camera = Camera(noise=0.0, dropped=0.0, lost=0.0, silent=((0.5, 1.0),), blind=((1.2, 1.4),))
+    camera = FaultyCamera(noise=0.0, dropped=0.0, lost=0.0, silent=((0.5, 1.0),), blind=((1.2, 1.4),))
     shots = camera.shots(2.0, [mover()])
     assert not any(0.5 <= shot.stamp < 1.0 for shot in shots)
     for shot in shots:

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-import jaxtyping
 import numpy as np
 import pytest
 
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import generated_person, predictor_named, simulate_scenario
 from kinecast.robot.outcome import outcome_of
-from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState
 
+from .conftest import FaultyCamera, Visitor
 
-@pytest.fixture(autouse=True, scope="module")
-def _without_checks() -> Iterator[None]:
-    """Thousands of steps are too many to check every shape in; one short episode does (test_simulation)."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+pytestmark = pytest.mark.usefixtures("without_checks")
 
 
 def test_it_follows_another_path_within_150_ms_of_the_first_prediction_that_says_so() -> None:
@@ -48,10 +40,10 @@ def test_a_silent_camera_lost_joints_and_people_who_come_and_go_with_the_shipped
     cell = Cell(cubes=Cell().cubes[:1])
     whole = generated_person(5, Cell())
     people = [
-        ReactivePerson(PlayedPerson("a", whole.joints, whole.stamps, whole.positions, (0.0, 5.5))),
-        ReactivePerson(PlayedPerson("b", whole.joints, whole.stamps, whole.positions, (7.0, 60.0))),
+        ReactivePerson(Visitor("a", whole.joints, whole.stamps, whole.positions, (0.0, 5.0))),
+        ReactivePerson(Visitor("b", whole.joints, whole.stamps, whole.positions, (4.8, 8.0))),
     ]
-    camera = Camera(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2)
+    camera = FaultyCamera(lost=0.1, dropped=0.1, silent=((1.5, 3.5),), blind=((4.0, 4.6),), seed=2)
     simulation = Simulation(people, predictor_named("kinecast", people, 60), camera, cell, limit=40.0, dt=0.02)
     episode = simulation.run()
     outcome = outcome_of(episode, people, cell)

@@ -19,10 +19,8 @@ def pair(
     radius, away = np.array([0.1]), np.array([[distance + 0.2, 0.0, 0.0]])
     velocity = np.array([[arm_speed, 0.0, 0.0]])
     towards = np.array([[-person_speed, 0.0, 0.0]])
-    return separation(
-        (start, end, radius), (velocity, velocity), (start + away, end + away, radius), (towards, towards),
-        np.array([age]), options,
-    )  # fmt: skip
+    arm, person = (start, end, radius, velocity, velocity), (start + away, end + away, radius, towards, towards)
+    return separation(arm, person, options, np.array([age]))
 
 
 def needed(robot: float, human: float, age: float = 0.0) -> float:
@@ -72,10 +70,8 @@ def test_a_share_of_the_speed_across_counts_as_towards_the_person(distance: floa
 
     def moving(velocity: tuple[float, float, float]) -> Separation:
         arm = np.array([velocity])
-        return separation(
-            (start, end, radius), (arm, arm), (start + away, end + away, radius), (still, still), np.zeros(1),
-            SeparationOptions(),
-        )  # fmt: skip
+        person = (start + away, end + away, radius, still, still)
+        return separation((start, end, radius, arm, arm), person, SeparationOptions())
 
     towards = moving((0.3 * 0.8, 0.0, 0.0))
     assert moving((0.0, 0.8, 0.0)).required == pytest.approx(towards.required)
@@ -89,10 +85,8 @@ def test_who_gains_speed_counts_as_that_fast() -> None:
 
     def required(measured: float, now: float) -> float:
         slow, fast = np.array([[-measured, 0.0, 0.0]]), np.array([[-now, 0.0, 0.0]])
-        return separation(
-            (start, end, radius), (arm, arm), (start + away, end + away, radius), (slow, slow), np.zeros(1), OPTIONS,
-            (fast, fast),
-        ).required  # fmt: skip
+        person = (start + away, end + away, radius, slow, slow)
+        return separation((start, end, radius, arm, arm), person, OPTIONS, None, (fast, fast)).required
 
     assert required(0.3, 0.9) == pytest.approx(needed(0.5, 0.9))
     assert required(0.9, 0.3) == pytest.approx(needed(0.5, 0.9))
@@ -122,7 +116,7 @@ def test_nearest_points_against_a_fine_grid() -> None:
         assert found >= brute - 0.05
 
 
-@pytest.mark.parametrize("name", ["reaction", "braking", "unknown_speed", "oldest"])
-def test_options_are_checked(name: str) -> None:
+@pytest.mark.parametrize(("name", "value"), [("reaction", 0.0), ("braking", 0.0), ("across", -1.0), ("across", np.nan)])
+def test_options_are_checked(name: str, value: float) -> None:
     with pytest.raises(OptionError, match=name):
-        SeparationOptions(**{name: 0.0})
+        SeparationOptions(**{name: value})

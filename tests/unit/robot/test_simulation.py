@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jaxtyping
@@ -11,15 +11,17 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.async_planner import Solve
-from kinecast.robot.camera import Camera
+from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell, cell_named
 from kinecast.robot.choice import Choice, Chooser, Request
 from kinecast.robot.episode import Episode
 from kinecast.robot.planner import NoPlan, Planner
-from kinecast.robot.simulated_person import Person, PlayedPerson
+from kinecast.robot.simulated_person import Person
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Decision, Prediction, RobotState, SkeletonFrame, Status
+
+from .conftest import FaultyCamera, Visitor
 
 JOINTS = (*ARM_JOINTS, "head", "pelvis")
 FAR = np.array([
@@ -35,17 +37,12 @@ CLEAN = {"noise": 0.001, "lost": 0.0, "dropped": 0.0}
 """A camera without faults but those that a test gives it."""
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _without_checks() -> Iterator[None]:
-    """Thousands of steps are too many to check every shape in; one short episode does."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+pytestmark = pytest.mark.usefixtures("without_checks")
 
 
-def standing(pose: np.ndarray = FAR, name: str = "a", present: tuple[float, float] = (-np.inf, np.inf)) -> PlayedPerson:
+def standing(pose: np.ndarray = FAR, name: str = "a", present: tuple[float, float] = (-np.inf, np.inf)) -> Visitor:
     """Somebody who stands still."""
-    return PlayedPerson(name, JOINTS, np.array([0.0, 1.0]), np.repeat(pose[None], 2, axis=0), present)
+    return Visitor(name, JOINTS, np.array([0.0, 1.0]), np.repeat(pose[None], 2, axis=0), present)
 
 
 def stays(frame: SkeletonFrame, now: float) -> Prediction:
@@ -68,7 +65,7 @@ def play(
     **faults: tuple[tuple[float, float], ...],
 ) -> Episode:
     """An episode to its end, with faults of the camera."""
-    return Simulation(people, predict, Camera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT).run()
+    return Simulation(people, predict, FaultyCamera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT).run()
 
 
 def of(episode: Episode, state: RobotState) -> list[Decision]:
@@ -104,9 +101,9 @@ def test_alone_it_moves_the_cube_and_ends(alone: Episode) -> None:
 
 
 def test_the_same_seed_gives_the_same_episode(alone: Episode) -> None:
-    again = play()
-    assert again.decisions == alone.decisions
-    assert [tick.arm_speed for tick in again.ticks] == [tick.arm_speed for tick in alone.ticks]
+    again = play(limit=3.0)
+    assert again.decisions == alone.decisions[: len(again.decisions)]
+    assert [tick.arm_speed for tick in again.ticks] == [tick.arm_speed for tick in alone.ticks[: len(again.ticks)]]
 
 
 def test_a_person_who_stands_still_is_no_hindrance(alone: Episode) -> None:
@@ -115,18 +112,21 @@ def test_a_person_who_stands_still_is_no_hindrance(alone: Episode) -> None:
     assert episode.end < alone.end + 3.0
 
 
-def test_the_camera_silent_for_two_seconds_stops_the_arm_until_it_speaks_again() -> None:
-    episode = play([standing()], silent=((1.5, 3.5),))
+def test_a_person_never_seen_a_silent_camera_and_joints_that_are_nan_hold_the_arm_until_they_are_seen() -> None:
+    episode = play([standing()], silent=((2.0, 4.0),), blind=((0.0, 1.0), (4.6, 5.6)))
     check(episode)
-    assert "camera is silent" in [each for each in of(episode, RobotState.STOPPED) if each.stamp < 3.5][-1].reason
-    assert speeds(episode, 2.1, 3.5).max() < 1e-3
-    assert speeds(episode, 3.7, 5.0).max() > 0.1
+    stopped = [(each.stamp, each.reason) for each in of(episode, RobotState.STOPPED)]
+    assert any("never seen" in reason for stamp, reason in stopped if stamp < 1.1)
+    assert speeds(episode, 0.0, 1.0).max() < 1e-3
+    assert "camera is silent" in [reason for stamp, reason in stopped if 2.0 < stamp < 4.0][-1]
+    assert speeds(episode, 2.6, 4.0).max() < 1e-3
+    assert speeds(episode, 4.2, 4.6).max() > 0.1
+    assert any("near" in each.reason or "may" in each.reason for each in episode.decisions if 4.6 < each.stamp < 5.7)
+    assert speeds(episode, 5.3, 5.6).max() < 0.1
 
 
 def test_nobody_known_and_a_silent_camera_stop_the_arm_too() -> None:
-    episode = play([], silent=((1.5, 2.5),))
-    check(episode)
-    assert speeds(episode, 2.1, 2.5).max() < 1e-3
+    assert speeds(play([], silent=((1.5, 2.5),), limit=2.5), 2.1, 2.5).max() < 1e-3
 
 
 def test_somebody_who_appears_0_3_m_from_the_arm_stops_it_at_once() -> None:
@@ -135,37 +135,11 @@ def test_somebody_who_appears_0_3_m_from_the_arm_stops_it_at_once() -> None:
     hand = FAR + (tip + np.array([0.4, 0.0, 0.1]) - FAR[2])  # the left wrist, its hand towards the arm
     episode = play([standing(hand, present=(1.2, 4.0))])
     check(episode)
-    first = next(tick for tick in episode.ticks if np.isfinite(tick.distance))
+    first = next(tick for tick in episode.ticks if tick.distance < 5.0)
     assert first.distance < 0.4
     assert min(tick.speed for tick in episode.ticks if 1.24 <= tick.stamp < 1.5) < 0.3
     assert any("person" in decision.reason for decision in episode.decisions if 1.2 <= decision.stamp < 2.0)
     assert speeds(episode, 4.5, 6.5).max() > 0.1
-
-
-def test_joints_that_are_nan_hold_the_arm_until_they_are_seen() -> None:
-    episode = play([standing()], blind=((1.5, 3.0),))
-    check(episode)
-    assert speeds(episode, 2.2, 3.0).max() < 0.1
-    assert any("near" in each.reason or "may" in each.reason for each in episode.decisions if 1.5 < each.stamp < 3.1)
-
-
-def test_a_person_never_seen_is_not_guessed_at() -> None:
-    episode = play([standing()], blind=((0.0, 1.0),))
-    check(episode)
-    assert any("never seen" in decision.reason for decision in episode.decisions)
-    assert speeds(episode, 0.0, 1.0).max() < 1e-3
-
-
-def test_persons_enter_and_leave() -> None:
-    beside = FAR + np.array([0.0, -0.4, 0.0])
-    episode = play(
-        [
-            standing(name="a", present=(0.0, 2.0)),
-            standing(beside, "b", (1.0, 4.0)),
-            standing(name="a2", present=(3.0, 5.0)),
-        ]
-    )
-    check(episode)
 
 
 def test_a_cube_out_of_reach_is_given_up_and_the_others_are_done() -> None:
@@ -178,15 +152,15 @@ def test_a_cube_out_of_reach_is_given_up_and_the_others_are_done() -> None:
     assert "without red" in episode.decisions[-1].reason
 
 
-def test_the_last_cube_blocked_for_ten_seconds_it_waits_says_why_and_goes_on() -> None:
+def test_the_last_cube_blocked_for_six_seconds_it_waits_says_why_and_goes_on() -> None:
     cube = CELL.cubes[0].position
     pose = FAR.copy()
     pose[3:6] = cube + np.array([[0.5, 0.05, 0.4], [0.3, 0.05, 0.25], [0.09, 0.0, 0.09]])
-    episode = play([standing(pose, present=(0.0, 10.0))])
+    episode = play([standing(pose, present=(0.0, 6.0))])
     check(episode)
     held = of(episode, RobotState.STOPPED) + of(episode, RobotState.SLOWED) + of(episode, RobotState.WAITING)
-    assert any("person" in decision.reason and decision.stamp < 5.0 for decision in held)
-    assert not [decision for decision in of(episode, RobotState.GRASPING) if decision.stamp < 10.0]
+    assert any("person" in decision.reason and decision.stamp < 4.0 for decision in held)
+    assert not [decision for decision in of(episode, RobotState.GRASPING) if decision.stamp < 6.0]
 
 
 def test_a_planner_that_crashes_is_asked_again() -> None:
@@ -199,7 +173,7 @@ def test_a_planner_that_crashes_is_asked_again() -> None:
             raise RuntimeError("out of luck")
         return working(request)
 
-    episode = play([standing()], solve=failing)
+    episode = play(solve=failing)
     check(episode)
     assert any("planner failed: out of luck" in decision.reason for decision in episode.decisions)
     assert speeds(episode, 0.0, 1.5).max() < 1e-3
@@ -209,20 +183,18 @@ def test_a_predictor_that_is_never_sure_means_the_reachable_set_and_a_slower_arm
     def unsure(frame: SkeletonFrame, now: float) -> Prediction:
         return replace(stays(frame, now), status=Status.UNFAMILIAR)
 
-    episode = play([standing()], predict=unsure, limit=12.0)
+    episode = play([standing()], predict=unsure, limit=6.0)
     assert min(tick.distance for tick in episode.ticks) > 0
-    assert sum(tick.speed for tick in episode.ticks) < sum(tick.speed for tick in alone.ticks)
+    assert sum(tick.speed for tick in episode.ticks) < sum(tick.speed for tick in alone.ticks if tick.stamp < 6.0)
     assert any(decision.state in (RobotState.SLOWED, RobotState.WAITING) for decision in episode.decisions)
 
 
 def test_what_cannot_be_used_stops_the_arm_without_an_exception() -> None:
-    simulation = Simulation([standing()], stays, Camera(**CLEAN), CELL, limit=1.0, dt=DT)
+    simulation = Simulation([standing()], stays, FaultyCamera(**CLEAN), CELL, limit=1.0, dt=DT)
     bad = SkeletonFrame(0.5, JOINTS, np.zeros((3, 3)), "a")
     for k, command in enumerate(simulation.steps()):
         if k == 28:
-            from kinecast.robot.camera import CameraFrame
-
-            simulation.supervisor.see(CameraFrame(0.55, 0.56, (bad,)), [], 0.56)
+            simulation.supervisor.see(CameraFrame(0.55, (bad,)), [], 0.56)
             assert simulation.supervisor.control(0.56).decision.state is RobotState.STOPPED
             break
         assert command.decision is not None

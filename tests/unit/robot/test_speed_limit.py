@@ -27,7 +27,7 @@ def through(
 
 def test_it_brakes_at_once_and_speeds_up_gently() -> None:
     going = SpeedHysteresis()
-    going.begin(at_rest=True)
+    going.begin()
     braked, *rising = through(going, [limit(0.1, LimitReason.DOUBT)] + [limit(1.0, LimitReason.NOTHING)] * 40)
     assert braked == (0.1, Level.SLOW, LimitReason.DOUBT)
     assert rising[0][0] == pytest.approx(0.1 + 3.0 * DT)
