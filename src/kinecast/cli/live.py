@@ -22,7 +22,7 @@ from rich.text import Text
 from tyro.conf import UseAppendAction, arg
 
 from kinecast.cameras.rig import Rig
-from kinecast.cli.options import ModelFile, OptionalFile, check_seed, read_predictor
+from kinecast.cli.options import SHIPPED_HORIZON, ModelFile, OptionalFile, check_seed, read_predictor
 from kinecast.cli.progress import CONSOLE, columns, plain, status_lines
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
@@ -43,6 +43,8 @@ Texts = UseAppendAction[tuple[str, ...]]
 Sources = Annotated[Texts, arg(name="source", metavar="SOURCE", help_behavior_hint=_ONCE_OR_MORE)]
 Sinks = Annotated[Texts, arg(name="sink", metavar="SINK", help_behavior_hint=_ONCE_OR_MORE)]
 MovieFile = Annotated[Path | None, arg(metavar="FILE.mp4", help_behavior_hint="(default: none)")]
+_HALF = f"(default: {SHIPPED_HORIZON} of the shipped model, all of another)"
+LiveHorizon = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=_HALF)]
 RigFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: no fusion)")]
 
 
@@ -53,6 +55,7 @@ def live(
     model: ModelFile = None,
     scene: OptionalFile = None,
     rig: RigFile = None,
+    horizon: LiveHorizon = None,
     samples: int = 1000,
     level: float = 0.95,
     seed: int = 0,
@@ -71,6 +74,7 @@ def live(
         model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles and goals, a YAML file.
         rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
+        horizon: how far to predict; a second of the shipped model takes twice the time, and tubes grow large in it.
         samples: motions drawn per prediction.
         level: probability that each tube holds.
         seed: of the draws.
@@ -85,7 +89,7 @@ def live(
     outputs = [read_sink(each) for each in _once("--sink", _with_defaults(sinks, record, inputs))]
     obstacles = None if scene is None else Scene.load(scene)
     cameras = None if rig is None else Rig.load(rig)
-    options = PredictorOptions(samples=samples, seed=seed)
+    options = PredictorOptions(samples, seed, SHIPPED_HORIZON if horizon is None and model is None else horizon)
     first = read_predictor(model, obstacles, options)
     logging.getLogger("kinecast").handlers = [RichHandler(console=CONSOLE, show_path=False)]  # above the table
     with ExitStack() as last, opened(inputs, outputs, cameras, obstacles) as (mailbox, comes, goes):

@@ -18,6 +18,8 @@ from kinecast.prediction.methods import METHODS
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.tasks import Serial, Workers, cluster_at
 
+SHIPPED_HORIZON = 0.5
+"""How far the shipped model predicts [s] where a robot acts on it and nothing is told; it could twice as far."""
 _METHODS = "".join(f"\n• {name}: {about}" for name, about in METHODS.items())
 
 Many = Annotated[tuple[Path, ...], arg(metavar="PATH [PATH ...]", help_behavior_hint="")]
@@ -27,6 +29,7 @@ Folder = Annotated[Path, arg(metavar="FOLDER")]
 Switch = FlagCreatePairsOff[bool]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
 ModelFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")]
+Horizon = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="(default: all that the model does)")]
 ClusterPlace = Annotated[str | None, arg(metavar="ADDRESS|local[:N]", help_behavior_hint="(default: this process)")]
 Action = Annotated[str | None, arg(metavar="ACTION", help_behavior_hint="(default: all)")]
 FormatName = Annotated[

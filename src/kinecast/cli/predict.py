@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 from tyro.conf import Positional
 
-from kinecast.cli.options import File, FormatName, ModelFile, OptionalFile, check_file, check_seed, read_predictor
+from kinecast.cli.options import (
+    File,
+    FormatName,
+    Horizon,
+    ModelFile,
+    OptionalFile,
+    check_file,
+    check_seed,
+    read_predictor,
+)
 from kinecast.cli.progress import progress_bar, status_lines
 from kinecast.cli.recordings import one_scene, read_recordings
 from kinecast.datasets.table import Rows, Words, require_extra, write_rows
@@ -24,6 +33,7 @@ def predict(
     out: File,
     model: ModelFile = None,
     scene: OptionalFile = None,
+    horizon: Horizon = None,
     samples: int = 1000,
     seed: int = 0,
     format: FormatName = None,
@@ -37,13 +47,14 @@ def predict(
             covariance, `label` the prediction's status.
         model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles, a YAML file.
+        horizon: how far to predict.
         samples: motions drawn per prediction.
         seed: of the draws.
     """
     check_seed(seed)
     check_file(out, (".parquet", ".csv"))
     require_extra(out)
-    options = PredictorOptions(samples=samples, seed=seed)
+    options = PredictorOptions(samples, seed, horizon)
     obstacles = None if scene is None else Scene.load(scene)
     recordings = one_scene(read_recordings((path,), format), path, "predict")
     predictor = read_predictor(model, obstacles, options)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import arg
 
-from kinecast.cli.options import ModelFile, Switch, check_seed, read_predictor
+from kinecast.cli.options import SHIPPED_HORIZON, ModelFile, Switch, check_seed, read_predictor
 from kinecast.cli.progress import compiling
 from kinecast.errors import ArmError, OptionError
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
@@ -87,7 +87,7 @@ def robot(
     turn = from_rotation_vector(np.array([0.0, 0.0, np.radians(base[3])]))
     with compiling():
         warm_up(samples)
-    predictor = read_predictor(model, None, PredictorOptions(samples=samples, seed=seed))
+    predictor = read_predictor(model, None, PredictorOptions(samples, seed, SHIPPED_HORIZON if model is None else None))
     T_base_world = inverse(transform(turn, np.array(base[:3])))
     with (
         opened([read_source(source)], []) as (mailbox, (people, *_), _),

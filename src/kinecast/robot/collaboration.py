@@ -39,6 +39,8 @@ SAMPLES = 200
 """Drawn per prediction."""
 DT, STEPS = 1 / 30, 15
 """Of predictions that no method makes."""
+HORIZON = DT * STEPS
+"""Of shipped methods [s]: their whole second gains nothing here (docs/decisions/0029-one-second.md)."""
 SMOOTH = 6.0
 """What limbs do lies below this frequency [Hz], above it is the tracker's noise (D. A. Winter, Biomechanics and Motor
 Control of Human Movement, 2009, 3.4.4: cut-offs of 4 to 8 Hz)."""
@@ -165,7 +167,9 @@ def predictor_named(name: str, people: Sequence[Person], samples: int = SAMPLES)
     if name not in SHIPPED and not is_plugin(name):
         raise OptionError(f"predictor {name!r} is none of {', '.join(PREDICTORS)}")
     card, method = _read(name)
-    return Predictor(method, card.noise, None, PredictorOptions(samples=samples)).observe
+    return Predictor(
+        method, card.noise, None, PredictorOptions(samples, horizon=HORIZON if name in SHIPPED else None)
+    ).observe
 
 
 @cache
