@@ -42,7 +42,7 @@ from kinecast.geometry.shapes import Box, Sphere
 from kinecast.pipeline import every_frame, followed, training_windows
 from kinecast.prediction.goals import HANDS, WRISTS
 from kinecast.prediction.kinecast.model import Kinecast
-from kinecast.prediction.method import Method, forecast_in_scene
+from kinecast.prediction.method import Method, forecast_in_scene, shortened
 from kinecast.prediction.methods import card_of, read_method, save_method, shipped_methods, train
 
 OPTIONS = WindowOptions()
@@ -170,7 +170,7 @@ def elsewhere(goals: dict[str, Sphere | Box], seed: int) -> Recording:
 
 def on_goals(samples: int, stride: int, people: int = PEOPLE) -> dict[str, Any]:
     """The part `goals`."""
-    method = shipped_methods()[1]["kinecast"]
+    method = shortened(shipped_methods()[1]["kinecast"], 0.5)
     assert isinstance(method, Kinecast)
     options = SyntheticOptions(subjects=people, recordings=3, duration=DURATION)
     scene = table_scene()
@@ -201,7 +201,7 @@ def on_goals(samples: int, stride: int, people: int = PEOPLE) -> dict[str, Any]:
 def on_cost(samples: int) -> dict[str, Any]:
     """The part `cost`: processor time of one forecast on one core, medians over one person's frames taken in turns."""
     numba.set_num_threads(1)
-    method = shipped_methods()[1]["kinecast"]
+    method = shortened(shipped_methods()[1]["kinecast"], 0.5)
     assert isinstance(method, Kinecast)
     options = SyntheticOptions(subjects=1, recordings=1, duration=8.0)
     scene, (person,) = table_scene(), generate(options, SEED)

@@ -15,6 +15,7 @@ from benchmarks import context
 
 from kinecast.datasets.synthetic import Fetch, fetching, table_scene
 from kinecast.prediction.kinecast.model import Kinecast
+from kinecast.prediction.method import shortened
 from kinecast.prediction.methods import shipped_methods
 
 SCENE = table_scene()
@@ -50,7 +51,7 @@ def test_moved_goals_and_people_who_ignore_them_keep_their_distance() -> None:
 
 
 def test_goals_are_told_better_late_than_early() -> None:
-    method = shipped_methods()[1]["kinecast"]
+    method = shortened(shipped_methods()[1]["kinecast"], 0.5)
     assert isinstance(method, Kinecast)
     fetches = [Fetch(1.0 + 3 * k, GOALS[goal].center, 0.5) for k, goal in enumerate(("red_cube", "blue_cube"))]
     person = fetching(fetches, 7.0, seed=1, rate=30.0)

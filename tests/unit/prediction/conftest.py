@@ -51,7 +51,7 @@ def trained(windows: TrainingWindows) -> dict[str, Method[Any]]:
 @pytest.fixture(scope="session")
 def observation(windows: TrainingWindows) -> Observation:
     """A window of somebody at work."""
-    return Observation(windows.observed[60], windows.up[60], windows.dt, stamp=100.0)
+    return Observation(windows.observed[60].astype(float), windows.up[60], windows.dt, stamp=100.0)
 
 
 @pytest.fixture(scope="session")

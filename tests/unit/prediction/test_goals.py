@@ -20,7 +20,7 @@ from kinecast.prediction import density as density_module
 from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
 from kinecast.prediction.goals import HANDS, goal_probabilities
 from kinecast.prediction.kinecast.model import Kinecast
-from kinecast.prediction.method import Forecast, forecast_in_scene
+from kinecast.prediction.method import Forecast, forecast_in_scene, shortened
 from kinecast.prediction.methods import shipped_methods
 from kinecast.prediction.observation import Observation
 from kinecast.types import Prediction
@@ -35,7 +35,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def method() -> Kinecast:
     shipped = shipped_methods()[1]["kinecast"]
     assert isinstance(shipped, Kinecast)
-    return shipped
+    return shortened(shipped, 0.5)
 
 
 @pytest.fixture(scope="module")

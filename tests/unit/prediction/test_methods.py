@@ -79,7 +79,7 @@ def test_predictions_beat_guessing(trained: dict[str, Method[Any]], windows: Tra
             forecast_in_scene(
                 method,
                 method.init_state(),
-                Observation(windows.observed[row], windows.up[row], windows.dt),
+                Observation(windows.observed[row].astype(float), windows.up[row], windows.dt),
                 np.random.default_rng(0),
                 50,
                 None,
