@@ -238,7 +238,7 @@ def warm_up(samples: int) -> None:
 
 def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
     """The cell's episode by a real arm, while there is a source and nothing stops it; what is decided, in lines."""
-    from kinecast.robot.async_planner import ThreadPlanner
+    from kinecast.robot.async_planner import AsyncPlanner
     from kinecast.robot.camera import CameraFrame
     from kinecast.robot.cell import Cell
     from kinecast.robot.choice import Chooser
@@ -257,7 +257,7 @@ def episode(arm: UR5, driver: UrDriver, people: People) -> Iterator[str]:
 
     per_step = max(round(STEP / driver.dt), 1)
     q = driver.state().q
-    with closing(ThreadPlanner(Chooser(Planner(arm, cell.scene), cell).choose)) as planner:
+    with closing(AsyncPlanner(Chooser(Planner(arm, cell.scene), cell).choose, threaded=True)) as planner:
         supervisor = Supervisor(arm, cell, SliderExecutor(arm, per_step * driver.dt, q), planner)
         closed, newest = driver.state().closed, 0.0
         driver.resume()

@@ -18,7 +18,6 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
-    from kinecast.robot.body import OccupancyOptions
     from kinecast.robot.episode import Episode
     from kinecast.robot.outcome import Outcome
     from kinecast.robot.simulated_person import PlayedPerson
@@ -122,12 +121,12 @@ class SimulationConfig:
             recordings = read_recordings((Path(person),), None)
             self.player = replayed_person(max(recordings, key=lambda each: len(each.stamps)), self.cell)
 
-    def simulation(self, scenario: str, predictor: str, body: OccupancyOptions | None = None) -> Simulation:
+    def simulation(self, scenario: str, predictor: str, level: float = 0.95) -> Simulation:
         """One episode, ready to run; says that it compiles where that takes long."""
         from kinecast.robot.collaboration import simulate_scenario
 
         with compiling():
-            return simulate_scenario(scenario, predictor, self.seed, self.samples, self.player, body, self.cell)
+            return simulate_scenario(scenario, predictor, self.seed, self.samples, self.player, level, self.cell)
 
     def play(self, scenario: str, predictor: str) -> tuple[Episode, Outcome]:
         """Runs a scenario, and prints the decisions as they fall."""

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from kinecast.cli.simulate import SimulationConfig, closing_table, sentence
 from kinecast.errors import OptionError
-from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.collaboration import PREDICTORS, SCENARIOS
 from kinecast.robot.outcome import outcome_of
 from kinecast.robot.simulation import Simulation
@@ -36,8 +35,7 @@ def serve(host: str, port: int, scenario: str, predictor: str, config: Simulatio
 
     def make(setting: Setting) -> Simulation:
         print(f"{setting.scenario}, {setting.predictor}, {100 * setting.level:g} %", flush=True)
-        body = OccupancyOptions(level=setting.level)
-        return config.simulation(played[setting.scenario], setting.predictor, body)
+        return config.simulation(played[setting.scenario], setting.predictor, setting.level)
 
     def tell(decision: Decision) -> None:
         print(sentence(decision), flush=True)

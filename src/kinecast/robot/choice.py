@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import Cell
+from kinecast.robot.chomp import People
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
-from kinecast.robot.motions import STEP, Motions, likely
+from kinecast.robot.motions import STEP
 from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
-from kinecast.robot.planner import SPEED, NoPlan, Plan, Planner
+from kinecast.robot.planner import SPEED, NoPlan, Planner
 from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
@@ -34,6 +36,8 @@ GAIN, CHANGE = 0.8, 0.4
 """Another way must be sooner by this, another cube by so much more [s]: predictions flicker."""
 ORDER, TAKEN = 0.3, 2.0
 """Price of a cube that is not the next in order, and of one that the person is about to take, or has [s]."""
+FORESEEN, LIKELY = 4.0, 0.5
+"""A way bends around capsules that hold each limb with this probability for so long [s]; the last stay."""
 
 ERRORS = {
     Step.REACH: (
@@ -79,7 +83,7 @@ class Request:
         q: (6,) where the arm will stand when it begins [rad].
         start_time: when [s].
         wait: from now until then [s].
-        motions: of the people from now on; None: nobody is there, or nothing is known of what they will do.
+        motions: of the people from now on (kinecast.robot.motions); None: nobody is there, or nothing is known of them.
         present: the first of the options, and (W, 6) configurations `STEP` apart in which the arm goes on with it if
             nothing is changed [rad]; None where it must change, or stands.
         why: in words, to tell answers apart.
@@ -89,7 +93,7 @@ class Request:
     q: Float[np.ndarray, "6"]
     start_time: float
     wait: float = 0.0
-    motions: Motions | None = None
+    motions: Capsules | None = None
     present: Float[np.ndarray, "W 6"] | None = None
     why: str = ""
 
@@ -107,7 +111,7 @@ class Choice:
     """
 
     option: Option
-    plan: Plan | None
+    plan: Trajectory | None
     time: TravelTime
     rows: Float[np.ndarray, "W 6"]
     wait: float = 0.0
@@ -127,7 +131,7 @@ class Chooser:
     """
 
     def __init__(self, planner: Planner, cell: Cell) -> None:
-        self.planner, self.cell, self.separation = planner, cell, cell.separation
+        self.planner, self.cell = planner, cell
 
     def choose(self, request: Request) -> Choice | NoPlan:
         """The option and the way that are done soonest, for what they are; or why there is none."""
@@ -139,15 +143,15 @@ class Chooser:
             best = Choice(request.options[0], None, time, request.present)
             least = self._cost(best) - GAIN
         reason = "out of reach"
-        straight_ways = []
+        ways = []
         for option in request.options:
             plan = self.planner.plan(request.q, option.goals, request.start_time)
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:
-                straight_ways.append(self._timed(option, plan, request))
-        straight_ways.sort(key=self._cost)
-        for choice in (*straight_ways, *self._bent(straight_ways, request)):
+                ways.append(self._timed(option, plan, request))
+        ways.sort(key=self._cost)
+        for choice in (*ways, *self._bent(ways, request)):
             cost = self._cost(choice)
             if request.present is not None and choice.option is not request.options[0]:
                 cost += CHANGE
@@ -155,8 +159,8 @@ class Chooser:
                 best, least = choice, cost
         return NoPlan(reason) if best is None else best
 
-    def _timed(self, option: Option, plan: Plan, request: Request) -> Choice:
-        rows = grasp_rows(self.planner.arm, self.cell, plan.trajectory, option)
+    def _timed(self, option: Option, plan: Trajectory, request: Request) -> Choice:
+        rows = grasp_rows(self.planner.arm, self.cell, plan, option)
         return Choice(option, plan, self._time(rows, request, request.wait), rows, request.wait)
 
     def _cost(self, choice: Choice) -> float:
@@ -164,17 +168,18 @@ class Chooser:
         return choice.time.priced(RISK) - choice.option.usual + choice.option.price
 
     def _time(self, rows: Float[np.ndarray, "W 6"], request: Request, wait: float) -> TravelTime:
-        return travel_time(self.planner.arm, rows, request.motions, self.separation, wait)
+        return travel_time(self.planner.arm, rows, request.motions, self.cell.separation, wait)
 
     def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
         """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
         if not ways or request.motions is None or ways[0].time.mean - ways[0].time.nominal < WORTH:
             return
-        best, people = ways[0], likely(request.motions, request.start_time - request.wait)
+        best, instants = ways[0], slice(round(FORESEEN / STEP) + 1)
         assert best.plan is not None
-        for plan in self.planner.bent(
-            best.plan, request.q, best.option.goals, people, request.start_time, self.separation
-        ):
+        start, end, radius = request.motions
+        capsules = Capsules(start[:, instants], end[:, instants], radius).regions(LIKELY)
+        times = request.start_time - request.wait + STEP * np.arange(len(capsules))
+        for plan in self.planner.bent(best.plan, People(times, capsules, self.cell.separation)):
             bent = self._timed(best.option, plan, request)
             if bent.time.priced(RISK) < best.time.priced(RISK) - WORTH:
                 yield bent

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from jaxtyping import Float
 
@@ -23,9 +21,6 @@ __all__ = ["FIRST_LINK", "CollisionChecker"]
 
 LOOKS = (0.01, 0.002)
 """Largest ways of any point of the arm between two looks at a motion [m]; the second in tight passages."""
-STEP = 0.05
-"""Largest change of an angle between two looks at an edge [rad]: 0.05 m at the arm's full reach of 0.85 m; plans are
-checked finely again."""
 FIRST_LINK = LINKS.index("upper_arm")
 """The first that may meet the scene: the shoulder only turns on the spot, and what it stands beside does not count."""
 _MEETING = {
@@ -83,14 +78,6 @@ class CollisionChecker:
         found = [result.min_distance for result in self._placed.distanceResults]
         return min(found[self._own :], default=np.inf), min(found[: self._own])
 
-    def edge_is_free(self, start: Float[np.ndarray, "6"], end: Float[np.ndarray, "6"], margin: float) -> bool:
-        """Whether the straight way between two configurations keeps a margin [m]; the start is not looked at.
-
-        It is looked at every `STEP`, first the end and the middle: what is in the way is found early.
-        """
-        count = max(int(np.ceil(np.abs(end - start).max() / STEP)), 1)
-        return not any(self.touched(start + (end - start) * k / count, margin) for k in _middle_first(count))
-
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
         coarse = np.linspace(trajectory.times[0], trajectory.times[-1], 2 * len(trajectory.times))
@@ -110,18 +97,9 @@ class CollisionChecker:
         found = ""
         for step in LOOKS:
             rows, _ = trajectory.at(self.looks(trajectory, step))
-            found = next((what for q in rows if (what := self.touched(q, 0.5 * step))), "")
-            if not found:
+            if not (found := next((what for q in rows if (what := self.touched(q, 0.5 * step))), "")):
                 break
         return found
-
-
-def _middle_first(count: int) -> Iterator[int]:
-    """The numbers 1 to `count`: the last, the middle, the quarters, …"""
-    yield count
-    stride = 1 << count.bit_length()
-    while stride := stride // 2:
-        yield from range(stride, count, 2 * stride)
 
 
 def _solid(shape: Shape) -> tuple[pin.SE3, coal.ShapeBase]:

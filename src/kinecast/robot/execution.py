@@ -198,7 +198,8 @@ class _Path:
 
     def derivatives(self, s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Angles and their first two derivatives by the clock."""
-        return self.trajectory.derivatives(self.trajectory.times[0] + min(s, self.duration))[:3]
+        q, first, second = self.trajectory.derivatives(self.trajectory.times[0] + min(s, self.duration), 2)
+        return q, first, second
 
     def profile(self) -> tuple[np.ndarray, np.ndarray]:
         """M instants (M,) and the first three derivatives there (M, 3, 6)."""

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.robot.motions import STEP, Motions
+from kinecast.robot.capsules import Capsules
+from kinecast.robot.motions import STEP
 from kinecast.robot.separation import SeparationOptions, allowed_speed, closest_points
 from kinecast.robot.ur5 import UR5
 
@@ -66,7 +67,7 @@ class TravelTime:
 def travel_time(
     arm: UR5,
     q: Float[np.ndarray, "W 6"],
-    motions: Motions | None,
+    motions: Capsules | None,
     options: SeparationOptions,
     wait: float = 0.0,
     age: float = 0.1,
@@ -76,7 +77,7 @@ def travel_time(
     Args:
         arm: its kinematics.
         q: (W, 6) configurations `STEP` apart at full speed [rad].
-        motions: of the people from now on; None: nobody is there.
+        motions: of the people from now on, (S, N, K, 3) `STEP` apart; None: nobody is there.
         options: of monitoring.
         wait: from now until the path is begun [s].
         age: of what monitoring will know of the people at each moment [s]: the camera's delay.
@@ -87,13 +88,9 @@ def travel_time(
     nominal = wait + STEP * (len(q) - 1)
     if motions is None or len(motions.radius) == 0:
         return TravelTime(nominal, np.array([nominal]))
-    capsules = arm.capsules(q)
     o = options
     monitored = (o.reaction, o.braking, o.least_speed, o.constant, o.across, age)
-    times = _roll_out(
-        capsules.start, capsules.end, capsules.radius, motions.start, motions.end, motions.radius, wait, monitored
-    )
-    return TravelTime(nominal, np.sort(times))
+    return TravelTime(nominal, np.sort(_roll_out(*arm.capsules(q), *motions, wait, monitored)))
 
 
 @njit(cache=True)

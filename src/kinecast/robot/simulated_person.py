@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from kinecast.errors import OptionError
 from kinecast.robot.body import TRUE_BODY, body_capsules
+from kinecast.robot.capsules import Capsules
 from kinecast.robot.separation import SeparationOptions, separation
-from kinecast.robot.ur5 import LinkCapsules
 
 __all__ = ["Person", "PlayedPerson", "ReactivePerson"]
 
@@ -88,7 +88,7 @@ class ReactivePerson:
         (before, end), (first, last) = self._times[after - 1 : after + 1], self._clocks[after - 1 : after + 1]
         return first + (last - first) / (end - before) * max(time - before, 0.0)
 
-    def mind(self, arm: LinkCapsules, now: float) -> None:
+    def mind(self, arm: Capsules, now: float) -> None:
         """Looks at where the arm is now (N = 1), and slows down if it is in the way."""
         clock = self._clock(now)
         self._times.append(now)
@@ -113,7 +113,7 @@ class ReactivePerson:
         step = CHANGE * (now - self._times[-2])
         self._rate = min(max(wish, self._rate - step), self._rate + step)
 
-    def _distance(self, pose: Float[np.ndarray, "J 3"], arm: LinkCapsules) -> float:
+    def _distance(self, pose: Float[np.ndarray, "J 3"], arm: Capsules) -> float:
         """From the body to the arm [m]."""
         body = body_capsules(self.joints, pose, TRUE_BODY)
         still, resting = np.zeros_like(body.start), np.zeros_like(arm.start[0])

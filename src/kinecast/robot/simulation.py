@@ -7,20 +7,22 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from kinecast.robot.async_planner import DeferredPlanner, Solve
-from kinecast.robot.body import TRUE_BODY, OccupancyOptions, body_capsules
+from kinecast.robot.async_planner import AsyncPlanner, Solve
+from kinecast.robot.body import TRUE_BODY, body_capsules
 from kinecast.robot.camera import Camera
+from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
 from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
 from kinecast.robot.execution import Executor
+from kinecast.robot.occupancy import occupied
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
 from kinecast.robot.separation import Separation, SeparationOptions, separation
 from kinecast.robot.simulated_person import Person, ReactivePerson
 from kinecast.robot.supervisor import Command, Supervisor
-from kinecast.robot.ur5 import UR5, LinkCapsules
+from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, SkeletonFrame
 
 __all__ = ["Predict", "Simulation"]
@@ -46,7 +48,7 @@ class Simulation:
         predict: the predictor.
         camera: what the arm sees of them.
         cell: what is to be done.
-        body: radii of the people's limbs.
+        level: probability with which the space shown as occupied holds each limb.
         solve: the planner; the arm's own by default.
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
@@ -59,21 +61,21 @@ class Simulation:
         predict: Predict,
         camera: Camera | None = None,
         cell: Cell | None = None,
-        body: OccupancyOptions | None = None,
+        level: float = 0.95,
         solve: Solve | None = None,
         dt: float = 0.008,
         limit: float = 120.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.arm, self.cell = UR5(), cell or Cell()
-        self.people, self.predict, self.limit = people, predict, limit
+        self.people, self.predict, self.limit, self.level = people, predict, limit, level
         self.camera = camera or Camera(delay=self.cell.delay)
         q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
         chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
-        self.planner = DeferredPlanner(solve or chooser.choose, clock=clock)
-        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.planner, body)
+        self.planner = AsyncPlanner(solve or chooser.choose, clock=clock)
+        self.supervisor = Supervisor(self.arm, self.cell, Executor(self.arm, dt, q), self.planner)
         self.episode = Episode()
 
     def run(self) -> Episode:
@@ -116,7 +118,7 @@ class Simulation:
         episode.ticks.append(self._tick(now, capsules, command))
         for person in self.people:
             if isinstance(person, ReactivePerson) and person.at(now) is not None:
-                person.mind(LinkCapsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
+                person.mind(Capsules(capsules.start[1:], capsules.end[1:], capsules.radius), now)
         sequence = supervisor.sequence
         for name in self.cell.order:
             if name not in (*episode.placed, *sequence.remaining, *sequence.given_up):
@@ -127,7 +129,7 @@ class Simulation:
             episode.scenes.append(self._snapshot(now, command))
         return command
 
-    def _tick(self, now: float, capsules: LinkCapsules, command: Command) -> Tick:
+    def _tick(self, now: float, capsules: Capsules, command: Command) -> Tick:
         """The truth about a step, of the arm's capsules before and after it (N = 2)."""
         dt, decision = self.driver.dt, command.decision
         velocity = (capsules.start[1] - capsules.start[0]) / dt, (capsules.end[1] - capsules.end[0]) / dt
@@ -171,7 +173,7 @@ class Simulation:
             people=tuple((joints, pose) for joints, pose in poses if pose is not None),
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
-            tube=people.occupancy(now, now + 0.25),
+            tube=occupied(people.predictions, now, now + 0.25, self.level),
             way=np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead]),
             decision=command.decision,
         )

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.robot.async_planner import AsyncPlanner
-from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Request, options_for
@@ -85,14 +84,11 @@ class Supervisor:
         cell: what is to be done, and where.
         executor: follows paths; stands where the arm stands.
         planner: where plans are asked for.
-        body: radii of the people's limbs.
     """
 
-    def __init__(
-        self, arm: UR5, cell: Cell, executor: Executor, planner: AsyncPlanner, body: OccupancyOptions | None = None
-    ) -> None:
+    def __init__(self, arm: UR5, cell: Cell, executor: Executor, planner: AsyncPlanner) -> None:
         self.arm, self.cell, self.executor, self.planner = arm, cell, executor, planner
-        self.people = PeopleModel(body)
+        self.people = PeopleModel()
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
         self.target: str | None = None
@@ -318,7 +314,7 @@ class Supervisor:
         if self._next is not None and self.executor.at_rest:
             choice, self._next = self._next, None
             assert choice.plan is not None  # as it was looked at before it was kept
-            if np.abs(self.executor.q - choice.plan.trajectory.q[0]).max() < NEAR_ENOUGH:
+            if np.abs(self.executor.q - choice.plan.q[0]).max() < NEAR_ENOUGH:
                 self._adopt(choice, now)
             else:  # it was held on the way and came to rest elsewhere
                 self._stand(self.step)
@@ -359,7 +355,7 @@ class Supervisor:
         """Follows a new path."""
         assert choice.plan is not None
         self._choice, self._foretold = choice, (now - choice.wait, choice.foretold)
-        self._follow(choice.plan.trajectory)
+        self._follow(choice.plan)
 
     def _no_way(self, reason: str, now: float) -> None:
         """Nobody is in the way, and still there is no path: tries again, then gives the cube up."""

@@ -67,19 +67,15 @@ class Trajectory:
 
     def at(self, t: float | Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "*N 6"], Float[np.ndarray, "*N 6"]]:
         """Angles [rad] and speeds [rad/s] at time t [s]; at rest before its start and after its end."""
-        q, qd = self._evaluate(t, 2)
+        q, qd = self.derivatives(t, 1)
         return q, qd
 
-    def derivatives(self, t: float | Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Angles, speeds, accelerations and jerks (…, 6) at t [s]; at rest before its start and after its end."""
-        q, qd, qdd, qddd = self._evaluate(t, 4)
-        return q, qd, qdd, qddd
-
-    def _evaluate(self, t: float | Float[np.ndarray, " N"], count: int) -> list[np.ndarray]:
+    def derivatives(self, t: float | Float[np.ndarray, " N"], order: int = 3) -> list[Float[np.ndarray, "*N 6"]]:
+        """Angles (…, 6) at t [s], then speeds, accelerations and jerks up to an order; at rest before and after."""
         since = np.asarray(t, dtype=np.float64) - self.times[0]
         within = np.clip(since, 0.0, self.duration)
         moving = (since == within)[..., None]
-        q, *rates = (spline(within) for spline in self._splines[:count])
+        q, *rates = (spline(within) for spline in self._splines[: order + 1])
         return [q, *(np.where(moving, rate, 0.0) for rate in rates)]
 
     def stretched(self, factor: float) -> Trajectory:

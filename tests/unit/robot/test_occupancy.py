@@ -8,34 +8,34 @@ import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.errors import OptionError
 from kinecast.geometry.shapes import Capsule
-from kinecast.robot.body import PARTS, TRUE_BODY, OccupancyOptions, body_capsules
-from kinecast.robot.occupancy import FASTEST, Occupancy, is_trusted, occupied, reach_probabilities
+from kinecast.robot.body import MEASURED_BODY, PARTS, TRUE_BODY, body_capsules
+from kinecast.robot.capsules import interpolated
+from kinecast.robot.occupancy import FASTEST, TOUCH, is_trusted, occupied, reach_probabilities
 from kinecast.types import Prediction, Status
 
 from .conftest import prediction
 
 FOREARM, HEAD = PARTS.index("left_forearm"), PARTS.index("head")
-OPTIONS = OccupancyOptions()
+RADII = MEASURED_BODY.radii
 
 
 @pytest.mark.parametrize("level", [0.5, 0.95, 1.0])
 def test_each_capsule_holds_its_limb_with_the_stated_probability(level: float) -> None:
-    ahead, options = prediction(spread=0.03), OccupancyOptions(level=level)
+    ahead = prediction(spread=0.03)
     for t in (0, 7, 14):
-        row = occupied([ahead], 0.03, float(ahead.times[t]), options)[FOREARM]
+        row = occupied([ahead], 0.03, float(ahead.times[t]), level)[FOREARM]
         capsule = Capsule(row[:3], row[3:6], float(row[6]))
         # The limb is a capsule of its own radius: its axis must lie that far inside.
         elbow, wrist = (capsule.signed_distance(ahead.samples[:, t, joint]) for joint in (1, 2))
-        inside = np.maximum(elbow, wrist) <= 1e-9 - options.forearm
+        inside = np.maximum(elbow, wrist) <= 1e-9 - MEASURED_BODY.forearm
         assert level <= inside.mean() <= min(level + 0.1, 1.0)
 
 
 def test_the_region_is_never_larger_than_what_can_be_reached_and_the_whole_body_counts() -> None:
     at = 0.25
-    wild, usual = (occupied([prediction(spread=spread)], 0.0, at, OPTIONS) for spread in (3.0, 0.02))
-    np.testing.assert_allclose(wild[:, 6], OPTIONS.radii + at * FASTEST)
+    wild, usual = (occupied([prediction(spread=spread)], 0.0, at) for spread in (3.0, 0.02))
+    np.testing.assert_allclose(wild[:, 6], RADII + at * FASTEST)
     assert usual.shape == (len(PARTS), 7)
     assert (usual[:, 6] < wild[:, 6]).all()
     np.testing.assert_allclose(usual[HEAD, :3], [-1.2, 0.0, 0.75], atol=2e-2)
@@ -47,8 +47,8 @@ def test_the_region_is_never_larger_than_what_can_be_reached_and_the_whole_body_
 def test_what_cannot_be_trusted_counts_as_the_reachable_set(change: dict[str, object]) -> None:
     doubtful = prediction(spread=0.01, **change)  # type: ignore[arg-type]
     assert not is_trusted(doubtful, 0.0)
-    rows = occupied([doubtful], 0.0, 0.25, OPTIONS)
-    np.testing.assert_allclose(rows[:, 6], OPTIONS.radii + (0.25 - doubtful.stamp) * FASTEST)
+    rows = occupied([doubtful], 0.0, 0.25)
+    np.testing.assert_allclose(rows[:, 6], RADII + (0.25 - doubtful.stamp) * FASTEST)
     np.testing.assert_allclose(rows[FOREARM, :3], doubtful.mean[0, 1])
 
 
@@ -56,16 +56,16 @@ def test_what_is_not_finite_is_not_trusted_and_what_is_not_known_left_out() -> N
     bad = prediction(spread=0.01)
     samples, mean = bad.samples.copy(), bad.mean.copy()
     samples[0, 0, 2], mean[:, 2] = np.nan, np.nan
-    whole = occupied([replace(bad, samples=samples)], 0.0, 0.25, OPTIONS)
-    np.testing.assert_allclose(whole[:, 6], OPTIONS.radii + 0.25 * FASTEST)
-    assert occupied([replace(bad, samples=samples, mean=mean)], 0.0, 0.25, OPTIONS).shape == (len(PARTS) - 2, 7)
-    assert occupied([], 0.0, 0.25, OPTIONS).shape == (0, 7)
-    assert occupied([bad, bad], 0.0, 0.25, OPTIONS).shape == (2 * len(PARTS), 7)
+    whole = occupied([replace(bad, samples=samples)], 0.0, 0.25)
+    np.testing.assert_allclose(whole[:, 6], RADII + 0.25 * FASTEST)
+    assert occupied([replace(bad, samples=samples, mean=mean)], 0.0, 0.25).shape == (len(PARTS) - 2, 7)
+    assert occupied([], 0.0, 0.25).shape == (0, 7)
+    assert occupied([bad, bad], 0.0, 0.25).shape == (2 * len(PARTS), 7)
 
 
 def test_between_two_times_capsules_move_evenly_and_beyond_them_they_stay() -> None:
     rows = np.random.default_rng(2).normal(size=(4, 5, 7))
-    found = Occupancy(np.arange(4) / 10, rows).rows_at(np.array([-5.0, 0.1, 0.15, 9.0]))
+    found = interpolated(np.array([-5.0, 0.1, 0.15, 9.0]), np.arange(4) / 10, rows)
     np.testing.assert_allclose(found, [rows[0], rows[1], 0.5 * (rows[1] + rows[2]), rows[3]], atol=1e-12)
 
 
@@ -91,23 +91,19 @@ def two_ways(share: float, samples: int = 100) -> Prediction:
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.7, 1.0])
 def test_probabilities_are_shares_of_samples(share: float) -> None:
     cubes = np.array([[0.45, -0.2, 0.05], [0.45, 0.6, 0.05]])
-    np.testing.assert_allclose(reach_probabilities(two_ways(share), cubes, 0.06, OPTIONS), [share, 0.0])
+    np.testing.assert_allclose(reach_probabilities(two_ways(share), cubes), [share, 0.0])
 
 
 def test_a_limb_that_is_not_known_may_be_anywhere() -> None:
     lost = two_ways(0.0)
     lost.samples[:10, 3, 2] = np.nan
-    assert reach_probabilities(lost, np.array([[5.0, 5.0, 5.0]]), 0.1, OPTIONS)[0] == pytest.approx(0.1)
+    assert reach_probabilities(lost, np.array([[5.0, 5.0, 5.0]]))[0] == pytest.approx(0.1)
 
 
-def test_radii_are_those_of_the_occupied_space() -> None:
-    sure, cube = two_ways(1.0), np.array([[0.5 - 0.1 - 0.06 - 0.15, -0.2, 0.1]])
-    assert reach_probabilities(sure, cube, 0.06, OPTIONS)[0] == 0.0
-    assert reach_probabilities(sure, cube, 0.06, OccupancyOptions(hand=0.3))[0] == 1.0
-    assert TRUE_BODY.hand < OPTIONS.hand
-
-
-@pytest.mark.parametrize("options", [{"level": 0.0}, {"level": 1.1}, {"hand": -0.1}, {"head": np.nan}])
-def test_impossible_options_are_refused(options: dict[str, float]) -> None:
-    with pytest.raises(OptionError):
-        OccupancyOptions(**options)
+def test_a_hand_reaches_as_far_as_it_is_long_and_thick() -> None:
+    sure = two_ways(1.0)
+    hands = body_capsules(ARM_JOINTS, sure.samples[0, -1])
+    finger = hands.end[2] + (MEASURED_BODY.hand + TOUCH) * (hands.end[2] - hands.start[2]) / MEASURED_BODY.hand_length
+    for beyond, reached in ((-0.01, 1.0), (0.01, 0.0)):
+        assert reach_probabilities(sure, finger[None] - [[beyond, 0.0, 0.0]])[0] == reached
+    assert TRUE_BODY.hand < MEASURED_BODY.hand

@@ -8,10 +8,10 @@ import pytest
 from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 from kinecast.robot.camera import Camera
+from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import replayed_person
 from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
-from kinecast.robot.ur5 import LinkCapsules
 
 JOINTS = (
     "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist", "head", "pelvis",
@@ -48,8 +48,8 @@ def test_gaps_in_a_recording_are_bridged_and_absence_is_none() -> None:
 
 def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:
     person = ReactivePerson(mover(), patience=9.0)
-    there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
-    gone = LinkCapsules(there.start + 9.0, there.end + 9.0, there.radius)
+    there = Capsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
+    gone = Capsules(there.start + 9.0, there.end + 9.0, there.radius)
     for k in range(500):
         person.mind(there, 0.008 * k)
     reached = person.at(4.0)[2, 0]
@@ -62,7 +62,7 @@ def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() ->
 
 def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again() -> None:
     person = ReactivePerson(mover(), patience=1.0)
-    there = LinkCapsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
+    there = Capsules(np.array([[[1.0, 0.2, 0.9]]]), np.array([[[1.0, 0.2, 1.3]]]), np.array([0.05]))
     for k in range(1000):
         person.mind(there, 0.008 * k)
     hand = np.array([person.at(0.008 * k)[2, 0] for k in range(1000)])
