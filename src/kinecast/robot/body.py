@@ -74,16 +74,17 @@ def body_capsules(
     Returns:
         K = 9 capsules, the `PARTS`; trunk and head follow from the shoulders where they are not tracked.
     """
-    places = np.concatenate([positions, np.full((*positions.shape[:-2], 1, 3), np.nan)], axis=-2)[..., _rows(joints), :]
-    places[~np.isfinite(places).all(axis=-1)] = np.nan
-    elbows, wrists = places[..., [1, 4], :], places[..., [2, 5], :]
-    forearms = wrists - elbows
+    unknown = np.full((*positions.shape[:-2], 1, 3), np.nan)
+    places = np.concatenate([positions, unknown], axis=-2).take(_rows(joints), axis=-2)
+    places[~np.isfinite(places.sum(axis=-1))] = np.nan
+    wrists = places[..., 2:6:3, :]
+    forearms = wrists - places[..., 1:5:3, :]
     hands = wrists + (size.hand_length / np.maximum(lengths(forearms), 1e-6))[..., None] * forearms
     middle = 0.5 * (places[..., :1, :] + places[..., 3:4, :])
     ends = middle + np.array([[0.0, 0.0, -size.trunk_length], [0.0, 0.0, size.head_height]])
     trunk_and_head = np.where(np.isnan(places[..., 6:, :]), ends, places[..., 6:, :])
     points = np.concatenate([places[..., :6, :], hands, middle, trunk_and_head], axis=-2)
-    return Capsules(points[..., STARTS, :], points[..., ENDS, :], size.radii)
+    return Capsules(points.take(STARTS, axis=-2), points.take(ENDS, axis=-2), size.radii)
 
 
 @lru_cache(maxsize=64)

@@ -137,10 +137,9 @@ class Chooser:
         """The option and the way that are done soonest, for what they are; or why there is none."""
         best, least = None, np.inf
         if request.present is not None:
-            time = self._time(request.present, request, 0.0)
-            if time.priced(RISK) - time.nominal < WORTH:
-                return Choice(request.options[0], None, time, request.present)
-            best = Choice(request.options[0], None, time, request.present)
+            best = self._timed(request.options[0], None, request.present, request)
+            if best.time.priced(RISK) - best.time.nominal < WORTH:
+                return best
             least = self._cost(best) - GAIN
         reason = "out of reach"
         ways = []
@@ -149,7 +148,7 @@ class Chooser:
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:
-                ways.append(self._timed(option, plan, request))
+                ways.append(self._new(option, plan, request))
         ways.sort(key=self._cost)
         for choice in (*ways, *self._bent(ways, request)):
             cost = self._cost(choice)
@@ -159,16 +158,19 @@ class Chooser:
                 best, least = choice, cost
         return NoPlan(reason) if best is None else best
 
-    def _timed(self, option: Option, plan: Trajectory, request: Request) -> Choice:
-        rows = grasp_rows(self.planner.arm, self.cell, plan, option)
-        return Choice(option, plan, self._time(rows, request, request.wait), rows, request.wait)
+    def _new(self, option: Option, plan: Trajectory, request: Request) -> Choice:
+        return self._timed(option, plan, grasp_rows(self.planner.arm, self.cell, plan, option), request)
+
+    def _timed(
+        self, option: Option, plan: Trajectory | None, rows: Float[np.ndarray, "W 6"], request: Request
+    ) -> Choice:
+        wait = 0.0 if plan is None else request.wait
+        time = travel_time(self.planner.arm, rows, request.motions, self.cell.separation, wait)
+        return Choice(option, plan, time, rows, wait)
 
     def _cost(self, choice: Choice) -> float:
         """What it costs more than with nobody there [s]."""
         return choice.time.priced(RISK) - choice.option.usual + choice.option.price
-
-    def _time(self, rows: Float[np.ndarray, "W 6"], request: Request, wait: float) -> TravelTime:
-        return travel_time(self.planner.arm, rows, request.motions, self.cell.separation, wait)
 
     def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
         """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
@@ -180,7 +182,7 @@ class Chooser:
         capsules = Capsules(start[:, instants], end[:, instants], radius).regions(LIKELY)
         times = request.start_time - request.wait + STEP * np.arange(len(capsules))
         for plan in self.planner.bent(best.plan, People(times, capsules, self.cell.separation)):
-            bent = self._timed(best.option, plan, request)
+            bent = self._new(best.option, plan, request)
             if bent.time.priced(RISK) < best.time.priced(RISK) - WORTH:
                 yield bent
 

@@ -8,6 +8,7 @@ of the moment at which the waypoint is passed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import no_type_check
@@ -16,14 +17,14 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.geometry.distances import ROUNDED_BOX, ROW, point_distance
+from kinecast.geometry.distances import point_distance
 from kinecast.geometry.shapes import Capsule
-from kinecast.geometry.transforms import apply, lengths
+from kinecast.geometry.transforms import lengths
 from kinecast.robot.capsules import interpolated
 from kinecast.robot.collision import FIRST_LINK
 from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import minimum_jerk, rest_to_rest
-from kinecast.robot.ur5 import LINKS, UR5
+from kinecast.robot.ur5 import LINKS, UR5, fixed_places
 
 __all__ = ["Chomp", "People"]
 
@@ -62,19 +63,9 @@ class People:
     capsules: Float[np.ndarray, "T K 7"]
     separation: SeparationOptions
 
-    def obstacles(self, times: Float[np.ndarray, " W"]) -> Float[np.ndarray, "W K 17"]:
-        """Rows (kinecast.geometry.distances) at other times [s]."""
-        capsules = interpolated(times, self.times, self.capsules)
-        start, end = capsules[..., :3], capsules[..., 3:6]
-        length = lengths(end - start)
-        mirror = (end - start) / np.maximum(length, 1e-12)[..., None]
-        mirror[..., 2] += np.where(mirror[..., 2] < 0, -1.0, 1.0)  # it turns z into the axis or its opposite
-        turn = mirror[..., :, None] * mirror[..., None, :] / (0.5 * (mirror**2).sum(axis=-1))[..., None, None]
-        rows = np.zeros((*length.shape, ROW))
-        rows[..., 0], rows[..., 1:4] = ROUNDED_BOX, 0.5 * (start + end)
-        rows[..., 4:13] = (np.eye(3) - turn).reshape(*length.shape, 9)
-        rows[..., 15], rows[..., 16] = 0.5 * length, capsules[..., 6]
-        return rows
+    def at(self, times: Float[np.ndarray, " W"]) -> People:
+        """The same people at other times [s]."""
+        return People(times, interpolated(times, self.times, self.capsules), self.separation)
 
     def price(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time lost per metre, 1/v(d) − 1/v₀, and its slope: straight on below v₀/4, and scaled by its slope there."""
@@ -129,11 +120,11 @@ class Chomp:
         """
         q, metric = np.array(path, dtype=np.float64), _metric(len(path))
         straight = q[0] + minimum_jerk(len(q))[:, None] * (q[-1] - q[0])
-        beside = np.empty((len(q), 0, ROW)) if people is None else people.obstacles(times)
+        beside = None if people is None else people.at(times)
         least, most = ITERATIONS if people is None else ITERATIONS_BESIDE
         best, highest, improved, iteration = q.copy(), -np.inf, 0, 0
         while True:
-            gap, torque = self._forces(q, margin, people, beside)
+            gap, torque = self._forces(q, margin, beside)
             if gap > highest:
                 improved = iteration if gap > highest + PROGRESS else improved
                 best, highest = q.copy(), gap
@@ -146,20 +137,20 @@ class Chomp:
             iteration += 1
 
     def _forces(
-        self, q: Float[np.ndarray, "W 6"], margin: float, people: People | None, beside: Float[np.ndarray, "W K 17"]
+        self, q: Float[np.ndarray, "W 6"], margin: float, beside: People | None
     ) -> tuple[float, Float[np.ndarray, "W-2 6"]]:
         """The least distance beyond its margin [m], and ∇U of the inner waypoints without the smoothness."""
         frames = self.arm.frames(q)
-        places = apply(frames[:, self._joint], self._sites)
-        inner, still = places[1:-1], np.broadcast_to(self._obstacles, (len(q) - 2, *self._obstacles.shape))
-        gap, pull = _nearest(still, self._first_link, inner, self._link)
+        places = fixed_places(frames, self._joint, self._sites)
+        inner = places[1:-1]
+        gap, pull = _nearest_obstacles(self._obstacles, self._first_link, inner, self._link)
         gap -= self._radius + margin
         least, (cost, slope) = gap.min(), _cost(gap, SCENE_ZONE)
         pull *= slope[..., None]
-        if people is not None:
-            gap, away = _nearest(beside[1:-1], np.zeros(beside.shape[1], dtype=int), inner, self._link)
+        if beside is not None:
+            gap, away = _nearest_capsules(beside.capsules[1:-1], inner)
             gap -= self._radius
-            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), people.price(gap)
+            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), beside.price(gap)
             least, cost = min(least, gap.min()), cost + near + lost
             pull += (steep + steeper)[..., None] * away
         if not pull.any():
@@ -174,23 +165,45 @@ class Chomp:
 
 @njit(cache=True)
 @no_type_check
-def _nearest(
-    rows: np.ndarray, first: np.ndarray, points: np.ndarray, link: np.ndarray
+def _nearest_obstacles(
+    rows: np.ndarray, first_link: np.ndarray, points: np.ndarray, link: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distances (W, P) [m] of body points to the nearest of obstacles (W, O, 17), and gradients (W, P, 3).
+    """Signed distances (W, P) [m] of body points to the nearest of the obstacles (O, 17), and gradients (W, P, 3).
 
-    An obstacle counts for links from its `first` (O,) on; the points are of links (P,).
+    An obstacle counts for links from its `first_link` (O,) on; the points are of links (P,).
     """
     distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
     for w in range(points.shape[0]):
         for p in range(points.shape[1]):
             place = points[w, p, 0], points[w, p, 1], points[w, p, 2]
-            for o in range(len(first)):
-                if link[p] >= first[o]:
-                    found, direction = point_distance(rows[w, o], place)
+            for o in range(len(rows)):
+                if link[p] >= first_link[o]:
+                    found, direction = point_distance(rows[o], place)
                     if found < distance[w, p]:
                         distance[w, p] = found
                         gradient[w, p, 0], gradient[w, p, 1], gradient[w, p, 2] = direction
+    return distance, gradient
+
+
+@njit(cache=True)
+@no_type_check
+def _nearest_capsules(capsules: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distances (W, P) [m] of body points to the nearest capsule (W, K, 7) of then, and gradients (W, P, 3)."""
+    distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
+    for w in range(points.shape[0]):
+        for k in range(capsules.shape[1]):
+            c = capsules[w, k]
+            lx, ly, lz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+            squared = max(lx * lx + ly * ly + lz * lz, 1e-12)
+            for p in range(points.shape[1]):
+                x, y, z = points[w, p, 0] - c[0], points[w, p, 1] - c[1], points[w, p, 2] - c[2]
+                share = min(max((x * lx + y * ly + z * lz) / squared, 0.0), 1.0)
+                x, y, z = x - share * lx, y - share * ly, z - share * lz
+                away = math.sqrt(x * x + y * y + z * z)
+                if away - c[6] < distance[w, p]:
+                    distance[w, p] = away - c[6]
+                    away = max(away, 1e-12)
+                    gradient[w, p, 0], gradient[w, p, 1], gradient[w, p, 2] = x / away, y / away, z / away
     return distance, gradient
 
 

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.geometry.transforms import lengths
-from kinecast.robot.body import body_capsules
+from kinecast.geometry.distances import limb_distances
+from kinecast.geometry.shapes import Sphere
+from kinecast.robot.body import MEASURED_BODY, body_capsules
 from kinecast.robot.capsules import interpolated
 from kinecast.types import Prediction, Status
 
@@ -72,10 +73,9 @@ def reach_probabilities(prediction: Prediction, points: Float[np.ndarray, "C 3"]
     A limb that is NaN may be anywhere, so it does.
     """
     samples = prediction.samples[:: max(1, -(-len(prediction.samples) // MOST_SAMPLES))]
-    body, limbs = body_capsules(ARM_JOINTS, samples), slice(6)
-    start, way = body.start[..., limbs, :], (body.end - body.start)[..., limbs, :]
-    towards = points[:, None, None, None] - start
-    share = (towards * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-12)
-    apart = lengths(towards - np.clip(share, 0.0, 1.0)[..., None] * way)
-    chances: Float[np.ndarray, " C"] = (~(apart - body.radius[limbs] > TOUCH)).any(axis=(2, 3)).mean(axis=1)
-    return chances
+    body, thick = body_capsules(ARM_JOINTS, samples), MEASURED_BODY.radii[:6]
+    ends = np.concatenate([body.start[..., :6, :], body.end[..., :6, :]], axis=-2)
+    axes, most = np.arange(12).reshape(2, 6).T, float(thick.max()) + 1e-6
+    balls = (np.tile(Sphere(point, TOUCH).row, (samples.shape[1], 1, 1)) for point in points)
+    touched = (~(limb_distances(ball, ends, axes, most) > thick) for ball in balls)
+    return np.array([each.any(axis=(1, 2)).mean() for each in touched])

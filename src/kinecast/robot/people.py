@@ -25,7 +25,7 @@ FORGET = 0.5
 """A person who was not on any shot for this long has left [s]."""
 HARDEST = 10.0
 """No joint gains speed faster [m/s²]: beyond that it is the tracking."""
-MOMENT = 1e-3
+MOMENT = 1e-5
 """Capsules' velocities are those of their joints over so long [s]."""
 ARM_PARTS = ("shoulder", "elbow", "wrist")
 NO_HAND = BodySize(hand_length=0.0)

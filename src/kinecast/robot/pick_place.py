@@ -68,19 +68,18 @@ def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.
     Returns:
         (B, 6) [rad]; none where the place is out of reach.
     """
-    kept = []
+    kept = [np.empty((0, 6))]
     for quarter in range(4):
         T = T_world_tool.copy()
         T[:3, :3] = rotation_z(quarter * np.pi / 2) @ T[:3, :3]
-        for q in arm.inverse_kinematics(T):
-            elbow = arm.capsules(q[None]).start[0, LINKS.index("elbow"), 2]
-            lower = T.copy()
-            lower[2, 3] -= below
-            if elbow > T[2, 3] + ELBOW_ABOVE and (
-                not below or _change(arm.inverse_kinematics(lower), q).min() < CONTINUOUS
-            ):
-                kept.append(q)
-    return np.array(kept).reshape(-1, 6)
+        rows = arm.inverse_kinematics(T)
+        rows = rows[arm.capsules(rows).start[:, LINKS.index("elbow"), 2] > T[2, 3] + ELBOW_ABOVE]
+        if below:
+            T[2, 3] -= below
+            lower = arm.inverse_kinematics(T)
+            rows = rows[[_change(lower, q).min(initial=np.inf) < CONTINUOUS for q in rows]]
+        kept.append(rows)
+    return np.concatenate(kept)
 
 
 def nearest(
@@ -95,12 +94,9 @@ def nearest(
     return first
 
 
-def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " C"]:
-    """Largest change of an angle from q to each row, full turns aside; inf where there is no row."""
-    if len(rows) == 0:
-        return np.array([np.inf])
-    apart = (rows - q + np.pi) % (2 * np.pi) - np.pi
-    largest: Float[np.ndarray, " C"] = np.abs(apart).max(axis=1)
+def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " B"]:
+    """Largest change of an angle from q to each row, full turns aside."""
+    largest: Float[np.ndarray, " B"] = np.abs((rows - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1, initial=0.0)
     return largest
 
 
@@ -126,7 +122,7 @@ def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], st
         place[:3, 3] += s * way
         choices = arm.inverse_kinematics(place)
         change = _change(choices, rows[-1])
-        if change.min() > CONTINUOUS:
+        if change.min(initial=np.inf) > CONTINUOUS:
             return None
         apart = choices[int(np.argmin(change))] - rows[-1]
         rows.append(rows[-1] + (apart + np.pi) % (2 * np.pi) - np.pi)

@@ -174,6 +174,6 @@ class Simulation:
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
             tube=occupied(people.predictions, now, now + 0.25, self.level),
-            way=np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead]),
+            way=self.arm.forward_kinematics(ahead)[:, :3, 3],
             decision=command.decision,
         )

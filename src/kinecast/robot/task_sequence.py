@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["TaskSequence"]
+import numpy as np
 
+__all__ = ["TaskSequence"]
 
 TAKEN = 0.5
 """Probability from which on a cube is the person's, at once."""
@@ -25,7 +26,7 @@ class TaskSequence:
         self.given_up: list[str] = []
         self.probabilities = dict.fromkeys(order, 0.0)
         self._taken = dict.fromkeys(order, False)
-        self._low_since: dict[str, float | None] = dict.fromkeys(order, None)
+        self._free_from = dict.fromkeys(order, np.inf)
 
     def update(self, now: float, probabilities: Mapping[str, float]) -> None:
         """Takes in, per cube, the probability that the person reaches for it.
@@ -36,15 +37,11 @@ class TaskSequence:
         """
         for name, probability in probabilities.items():
             self.probabilities[name] = probability
-            if probability >= TAKEN:
-                self._taken[name], self._low_since[name] = True, None
-            elif probability > FREE:
-                self._low_since[name] = None
+            if probability >= TAKEN or (self._taken[name] and probability > FREE):
+                self._taken[name], self._free_from[name] = True, np.inf
             elif self._taken[name]:
-                since = self._low_since[name]
-                since = now if since is None else since
-                self._low_since[name] = since
-                self._taken[name] = now - since < AFTER
+                self._free_from[name] = min(self._free_from[name], now + AFTER)
+                self._taken[name] = now < self._free_from[name]
 
     def is_taken(self, name: str) -> bool:
         """Whether the cube is the person's for now."""

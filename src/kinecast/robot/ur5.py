@@ -12,10 +12,10 @@ from importlib.resources import files
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from kinecast.errors import MissingExtraError
-from kinecast.geometry.transforms import apply, inverse
+from kinecast.geometry.transforms import inverse
 from kinecast.robot.capsules import Capsules
 
 try:
@@ -24,7 +24,7 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["LINKS", "UR5"]
+__all__ = ["LINKS", "UR5", "fixed_places"]
 
 LINKS = (
     "shoulder", "upper_arm", "elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "palm", "left_finger", "right_finger",
@@ -86,31 +86,32 @@ class UR5:
         for each in self.geometry.geometryObjects:
             each.geometry = coal.Capsule(each.geometry.radius, 2.0 * each.geometry.halfLength)
 
-    def forward_kinematics(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
+    def forward_kinematics(self, q: Float[np.ndarray, "*N 6"]) -> Float[np.ndarray, "*N 4 4"]:
         """T_base_tool: the tool's frame lies between the gripper's fingertips, its z axis pointing out of the hand.
 
         Args:
-            q: (6,) [rad].
+            q: (…, 6) [rad].
         """
-        tool: Float[np.ndarray, "4 4"] = self.frames(q[None])[0, -1] @ self._T_wrist_tool
+        tool: Float[np.ndarray, "*N 4 4"] = self.frames(q)[..., -1, :, :] @ self._T_wrist_tool
         return tool
 
-    def frames(self, q: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 6 4 4"]:
-        """T_base_joint of all joints at configurations (N, 6) [rad]."""
-        turns = np.zeros((6, len(q), 4, 4))
-        turns[..., 0, 0] = turns[..., 1, 1] = np.cos(q.T)
-        turns[..., 1, 0] = np.sin(q.T)
+    def frames(self, q: Float[np.ndarray, "*N 6"]) -> Float[np.ndarray, "*N 6 4 4"]:
+        """T_base_joint of all joints at configurations (…, 6) [rad]."""
+        turns = np.zeros((*q.shape, 4, 4))
+        turns[..., 0, 0] = turns[..., 1, 1] = np.cos(q)
+        turns[..., 1, 0] = np.sin(q)
         turns[..., 0, 1] = -turns[..., 1, 0]
         turns[..., 2, 2] = turns[..., 3, 3] = 1.0
-        frames = self.joint_origins[:, None] @ turns
+        frames: Float[np.ndarray, "*N 6 4 4"] = self.joint_origins @ turns
         for j in range(1, 6):
-            frames[j] = frames[j - 1] @ frames[j]
-        return frames.swapaxes(0, 1)
+            frames[..., j, :, :] = frames[..., j - 1, :, :] @ frames[..., j, :, :]
+        return frames
 
-    def capsules(self, q: Float[np.ndarray, "N 6"]) -> Capsules:
-        """The moving links (`LINKS`) at configurations: (N, 6) [rad] to ends (N, L, 3)."""
-        ends = apply(self.frames(q)[:, np.tile(self.capsule_joint, 2)], self.capsule_sites)
-        return Capsules(ends[:, : len(LINKS)], ends[:, len(LINKS) :], self.capsule_radius)
+    def capsules(self, q: Float[np.ndarray, "*N 6"]) -> Capsules:
+        """The moving links (`LINKS`) at configurations: (…, 6) [rad] to ends (…, L, 3)."""
+        ends = fixed_places(self.frames(q), np.tile(self.capsule_joint, 2), self.capsule_sites)
+        start, end = np.split(ends, 2, axis=-2)
+        return Capsules(start, end, self.capsule_radius)
 
     def inverse_kinematics(self, T_base_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
         """Every configuration with angles in [−π, π) that puts the tool there: up to eight branches.
@@ -144,6 +145,15 @@ class UR5:
 def _arccos(cosine: Float[np.ndarray, "*B"]) -> Float[np.ndarray, "*B"]:
     """NaN where there is none."""
     return np.asarray(np.arccos(np.where(np.abs(cosine) <= 1 + ROUND_OFF, np.clip(cosine, -1.0, 1.0), np.nan)))
+
+
+def fixed_places(
+    frames: Float[np.ndarray, "*N 6 4 4"], joint: Int[np.ndarray, " M"], sites: Float[np.ndarray, "M 3"]
+) -> Float[np.ndarray, "*N M 3"]:
+    """(…, M, 3) places [m] of points (M, 3) fixed to the links of joints (M,), whose frames are (…, 6, 4, 4)."""
+    T, (x, y, z) = frames[..., joint, :3, :], sites.T[..., None]
+    places: Float[np.ndarray, "*N M 3"] = T[..., 0] * x + T[..., 1] * y + T[..., 2] * z + T[..., 3]
+    return places
 
 
 def _axis(capsule: pin.GeometryObject) -> Float[np.ndarray, "2 3"]:

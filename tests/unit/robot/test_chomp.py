@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinecast.geometry.distances import point_distance
 from kinecast.geometry.shapes import Capsule
 from kinecast.geometry.transforms import apply
 from kinecast.robot.cell import CAMERA
@@ -39,7 +38,7 @@ def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest
         return float((0.5 * (price[1:] + price[:-1]) * np.linalg.norm(np.diff(places, axis=0), axis=-1)).sum())
 
     fine = HOME + np.linspace(0, 1, 400)[:, None] * (AWAY - HOME)  # evenly, so that nothing is at rest
-    _, torque = chomp._forces(fine, 0.005, None, np.empty((400, 0, 17)))
+    _, torque = chomp._forces(fine, 0.005, None)
     for seed in range(3):
         turn = np.random.default_rng(seed).normal(size=6)
         bump = np.sin(np.pi * np.linspace(0, 1, 400))[:, None] ** 2 * turn
@@ -96,16 +95,3 @@ def test_angles_stay_within_their_range() -> None:
 def test_where_there_is_no_way_it_says_so(arm: UR5) -> None:
     _, excess = among(arm, *SEALED).optimise(STRAIGHT, TIMES, 0.005)
     assert excess < 0
-
-
-def test_people_are_where_their_capsules_are_at_any_time() -> None:
-    ends = np.random.default_rng(5).normal(size=(3, 4, 6))
-    ends[:, 0, :3] = ends[:, 0, 3:] = [0.1, 0.2, 0.3]  # a head has no length
-    rows = np.concatenate([ends, np.full((3, 4, 1), 0.1)], axis=-1)
-    [[*found]] = People(np.arange(3.0), rows, CAMERA).obstacles(np.array([1.5]))
-    for row, wanted in zip(found, 0.5 * (rows[1] + rows[2]), strict=True):
-        capsule = Capsule(wanted[:3], wanted[3:6], float(wanted[6]))
-        for point in np.random.default_rng(6).normal(size=(20, 3)):
-            distance, direction = point_distance(row, tuple(point))
-            assert distance == pytest.approx(float(capsule.signed_distance(point)), abs=1e-9)
-            np.testing.assert_allclose(np.linalg.norm(direction), 1.0)
