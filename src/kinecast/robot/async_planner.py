@@ -6,35 +6,17 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 
 from kinecast.errors import OptionError
 from kinecast.robot.choice import Choice, Request
 from kinecast.robot.planner import NoPlan
 
-__all__ = ["Answer", "AsyncPlanner", "Solve"]
+__all__ = ["AsyncPlanner", "Solve"]
 
 log = logging.getLogger(__name__)
 
 Solve = Callable[[Request], Choice | NoPlan]
 """Chooses (kinecast.robot.choice)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What came of a request.
-
-    Attributes:
-        request: answered.
-        choice: what is best; None where there is no way.
-        reason: why there is none, in words.
-        crashed: whether the planner failed rather than found nothing.
-    """
-
-    request: Request
-    choice: Choice | None
-    reason: str = ""
-    crashed: bool = False
 
 
 class AsyncPlanner:
@@ -65,7 +47,7 @@ class AsyncPlanner:
         """Time spent planning in all [s], so that whoever measures the rest can take it off."""
         self._solve, self._clock = solve, clock
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="planner") if threaded else None
-        self._future: Future[Answer] = Future()
+        self._future: Future[Choice | NoPlan] = Future()
         self._ready = 0.0
 
     def ask(self, request: Request, now: float) -> None:
@@ -78,8 +60,8 @@ class AsyncPlanner:
             self._future, self._ready = Future(), now + self.latency
             self._future.set_result(self._answered(request))
 
-    def answer(self, now: float) -> Answer | None:
-        """The answer, once, when it is there."""
+    def answer(self, now: float) -> Choice | NoPlan | None:
+        """What is best, or why there is no way: once, when it is there."""
         if self.pending is None or not self._future.done() or now < self._ready - 1e-9:
             return None
         self.pending = None
@@ -90,14 +72,13 @@ class AsyncPlanner:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def _answered(self, request: Request) -> Answer:
+    def _answered(self, request: Request) -> Choice | NoPlan:
         """Never raises: the arm goes on whatever happens to its planner."""
         began = self._clock()
         try:
-            found = self._solve(request)
+            return self._solve(request)
         except Exception as error:
             log.exception("planning for %s failed", request.why)
-            return Answer(request, None, f"the planner failed: {error}", True)
+            return NoPlan(f"the planner failed: {error}", crashed=True)
         finally:
             self.worked += self._clock() - began
-        return Answer(request, None, found.reason) if isinstance(found, NoPlan) else Answer(request, found)

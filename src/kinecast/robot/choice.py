@@ -19,9 +19,8 @@ from kinecast.robot.chomp import People
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import STEP
-from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
+from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, TaskSequence, straight
 from kinecast.robot.planner import SPEED, NoPlan, Planner
-from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 

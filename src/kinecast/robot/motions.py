@@ -16,13 +16,14 @@ from jaxtyping import Float, Int
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.body import body_capsules
 from kinecast.robot.capsules import Capsules, interpolated
-from kinecast.robot.occupancy import arms_at_stamp, is_trusted
-from kinecast.types import Prediction
+from kinecast.types import Prediction, Status
 
-__all__ = ["STEP", "PoseHistory", "motions_of"]
+__all__ = ["STEP", "PoseHistory", "arms_at_stamp", "is_trusted", "motions_of"]
 
 STEP = 0.1
 """Between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]."""
+STALE_AFTER = 0.1
+"""A prediction older than this says no more than what can be reached [s]."""
 AHEAD = 6.0
 """Motions are carried on so far [s]."""
 SAMPLES = 40
@@ -43,6 +44,20 @@ FADE = 0.5
 """The difference between now and then fades in this time [s]."""
 NEW = 0.3
 """Root mean square difference of joints [m] from which on nothing in the past is alike."""
+
+
+def is_trusted(prediction: Prediction, now: float) -> bool:
+    """Whether a prediction says more than what can be reached: its status is OK, and it is not too old."""
+    return prediction.status is Status.OK and now - prediction.stamp <= STALE_AFTER + 1e-9
+
+
+def arms_at_stamp(prediction: Prediction) -> Float[np.ndarray, "6 3"]:
+    """(6, 3) the arm joints at the newest frame [m]: the mean, carried back in time from its first two steps."""
+    if len(prediction.times) < 2:
+        return prediction.mean[0]
+    first, second = prediction.times[:2]
+    share = min((first - prediction.stamp) / (second - first), 1.0)
+    return prediction.mean[0] - share * (prediction.mean[1] - prediction.mean[0])
 
 
 class PoseHistory:

@@ -1,4 +1,4 @@
-"""What is known and predicted of everybody in the cell: where each joint was last seen, how fast it moves."""
+"""What is known and predicted of everybody in the cell: where they were last seen, how fast they move, what comes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.body.skeleton import arms_of
+from kinecast.body.skeleton import ARM_JOINTS, arms_of
+from kinecast.geometry.distances import limb_distances
+from kinecast.geometry.shapes import Sphere
 from kinecast.robot.body import MEASURED_BODY, BodySize, body_capsules
 from kinecast.robot.camera import CameraFrame
-from kinecast.robot.capsules import Capsules
-from kinecast.robot.motions import PoseHistory, motions_of
-from kinecast.robot.occupancy import TOUCH, is_trusted, reach_probabilities
+from kinecast.robot.capsules import Capsules, interpolated
+from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted, motions_of
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["PeopleModel", "Seen"]
+__all__ = ["PeopleModel", "Seen", "occupied", "reach_probabilities"]
 
 SLOPE = 0.14
 """Span of the measurements over which a joint's speed is taken [s]."""
@@ -25,6 +26,13 @@ FORGET = 0.5
 """A person who was not on any shot for this long has left [s]."""
 HARDEST = 10.0
 """No joint gains speed faster [m/s²]: beyond that it is the tracking."""
+FASTEST = np.array([2.0] * 6 + [1.6] * 3)
+"""Approach of the capsules (kinecast.robot.body.PARTS) [m/s], ISO 13855:2010, 6.2.3: upper limbs 2.0 below 0.5 m, a
+body at a walk 1.6."""
+TOUCH = 0.06
+"""A limb that comes this near to a cube's middle may take it [m]."""
+MOST_SAMPLES = 100
+"""Samples that a probability is counted over: more cost time, and its standard error is 0.05 at most."""
 MOMENT = 1e-5
 """Capsules' velocities are those of their joints over so long [s]."""
 ARM_PARTS = ("shoulder", "elbow", "wrist")
@@ -158,9 +166,8 @@ class _Track:
         places = np.array([frame.positions for frame in self._recent])
         lever = stamps - stamps.mean()
         slope: Float[np.ndarray, "J 3"] = np.einsum("n,njk->jk", lever, places) / (lever @ lever)
-        bend = lever**2 - np.mean(lever**2)
-        bend -= lever * (bend @ lever) / (lever @ lever)
-        curve = unknown if len(stamps) < 4 else 2.0 * np.einsum("n,njk->jk", bend, places) / (bend @ bend)
+        bend = np.linalg.pinv(np.vander(lever, 3))[0]
+        curve = unknown if len(stamps) < 4 else 2.0 * np.einsum("n,njk->jk", bend, places)
         size = np.linalg.norm(curve, axis=1, keepdims=True)
         curve = curve * np.minimum(1.0, HARDEST / np.maximum(size, 1e-9))
         shoulders = [row for row, name in enumerate(self.joints) if name.endswith("shoulder")]
@@ -174,3 +181,43 @@ class _Track:
         since = self._lag + now - self.stamp
         later = self._velocity + since * self._acceleration
         return Seen._make([*self._capsules, *self._velocity, *later, now - self._oldest])
+
+
+def occupied(predictions: Sequence[Prediction], now: float, at: float, level: float = 0.95) -> Float[np.ndarray, "K 7"]:
+    """Capsules of several people at a moment ahead, one prediction each: start, end and radius [m].
+
+    Each holds its limb with probability `level` and is grown by the limb's radius. Where what the person can reach at
+    all since the prediction's stamp is smaller, and where the prediction is not to be trusted, that is taken. A limb
+    of which nothing is known is left out.
+
+    Args:
+        predictions: the newest of each person.
+        now: the present time on the predictions' clock [s].
+        at: the moment [s].
+        level: in (0, 1].
+    """
+    found = [np.empty((0, 7))]
+    for prediction in predictions:
+        start, end, radius = body_capsules(ARM_JOINTS, arms_at_stamp(prediction))
+        reached = radius + FASTEST * max(at - prediction.stamp, 0.0)
+        rows = np.column_stack([start, end, reached])
+        if is_trusted(prediction, now) and np.isfinite(prediction.samples).all():
+            [arms] = interpolated(np.array([at]), prediction.times, prediction.samples.swapaxes(0, 1))
+            held = body_capsules(ARM_JOINTS, arms).regions(level)
+            rows = np.where((rows[:, 6] < held[:, 6])[:, None], rows, held)
+        found.append(rows[np.isfinite(rows).all(axis=1)])
+    return np.concatenate(found)
+
+
+def reach_probabilities(prediction: Prediction, points: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, " C"]:
+    """(C,) P(arm or hand comes within `TOUCH` of each point [m] at some step): the share of samples in which one does.
+
+    A limb that is NaN may be anywhere, so it does.
+    """
+    samples = prediction.samples[:: max(1, -(-len(prediction.samples) // MOST_SAMPLES))]
+    body, thick = body_capsules(ARM_JOINTS, samples), MEASURED_BODY.radii[:6]
+    ends = np.concatenate([body.start[..., :6, :], body.end[..., :6, :]], axis=-2)
+    axes, most = np.arange(12).reshape(2, 6).T, float(thick.max()) + 1e-6
+    balls = (np.tile(Sphere(point, TOUCH).row, (samples.shape[1], 1, 1)) for point in points)
+    touched = (~(limb_distances(ball, ends, axes, most) > thick) for ball in balls)
+    return np.array([each.any(axis=(1, 2)).mean() for each in touched])

@@ -1,7 +1,8 @@
-"""One cube's way from where it stands to its place, step by step."""
+"""Cubes to be moved: their order, who takes them, and one cube's way to its place, step by step."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
@@ -12,7 +13,7 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["GraspConfigurations", "Step", "nearest", "postures", "straight"]
+__all__ = ["GraspConfigurations", "Step", "TaskSequence", "nearest", "postures", "straight"]
 
 VERTICAL = 0.5
 """Greatest speed of the straight ways down and up [m/s]."""
@@ -21,6 +22,12 @@ DWELL = 0.25
 WAYPOINTS = 9
 CONTINUOUS = 0.8
 """Between two waypoints of a straight line no angle changes by more than this, or the arm would flip over [rad]."""
+ELBOW_ABOVE = 0.1
+"""The elbow stays this much higher than the tool [m]: over the table, not beside it."""
+TAKEN = 0.5
+"""Probability from which on a cube is the person's, at once."""
+FREE, AFTER = 0.2, 0.5
+"""Probability below which it may be the arm's again, once it has stayed below for so long [s]."""
 
 
 class Step(Enum):
@@ -53,8 +60,47 @@ class Step(Enum):
         return self in (Step.LOWER, Step.OPEN, Step.RISE)
 
 
-ELBOW_ABOVE = 0.1
-"""The elbow stays this much higher than the tool [m]: over the table, not beside it."""
+class TaskSequence:
+    """The cubes still to be moved, in order.
+
+    Args:
+        order: names of the cubes.
+    """
+
+    def __init__(self, order: tuple[str, ...]) -> None:
+        self.remaining = list(order)
+        self.given_up: list[str] = []
+        self.probabilities = dict.fromkeys(order, 0.0)
+        self._taken = dict.fromkeys(order, False)
+        self._free_from = dict.fromkeys(order, np.inf)
+
+    def update(self, now: float, probabilities: Mapping[str, float]) -> None:
+        """Takes in, per cube, the probability that the person reaches for it.
+
+        Args:
+            now: [s].
+            probabilities: of cubes by name; one that is not named keeps its own.
+        """
+        for name, probability in probabilities.items():
+            self.probabilities[name] = probability
+            if probability >= TAKEN or (self._taken[name] and probability > FREE):
+                self._taken[name], self._free_from[name] = True, np.inf
+            elif self._taken[name]:
+                self._free_from[name] = min(self._free_from[name], now + AFTER)
+                self._taken[name] = now < self._free_from[name]
+
+    def is_taken(self, name: str) -> bool:
+        """Whether the cube is the person's for now."""
+        return self._taken[name]
+
+    def finish(self, name: str) -> None:
+        """The cube is in its place."""
+        self.remaining.remove(name)
+
+    def give_up(self, name: str) -> None:
+        """The cube cannot be had."""
+        self.remaining.remove(name)
+        self.given_up.append(name)
 
 
 def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.0) -> Float[np.ndarray, "B 6"]:

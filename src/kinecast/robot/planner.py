@@ -52,9 +52,11 @@ class NoPlan:
 
     Attributes:
         reason: in words.
+        crashed: whether the planner failed rather than found nothing.
     """
 
     reason: str
+    crashed: bool = False
 
 
 class Planner:

@@ -16,7 +16,7 @@ from kinecast.robot.choice import Chooser
 from kinecast.robot.driver import SimulatedDriver
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
 from kinecast.robot.execution import Executor
-from kinecast.robot.occupancy import occupied
+from kinecast.robot.people import occupied
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
 from kinecast.robot.separation import Separation, SeparationOptions, separation

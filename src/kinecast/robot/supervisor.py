@@ -24,10 +24,9 @@ from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.motions import STEP
 from kinecast.robot.people import PeopleModel
-from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
+from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, TaskSequence, straight
 from kinecast.robot.separation import Separation
 from kinecast.robot.speed_limit import LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
-from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 from kinecast.robot.wording import reason_of, state_of
@@ -319,16 +318,16 @@ class Supervisor:
             else:  # it was held on the way and came to rest elsewhere
                 self._stand(self.step)
                 self._ask("path", now)
-        answer = self.planner.answer(now)
-        if answer is None:
+        asked, answer = self.planner.pending, self.planner.answer(now)
+        if asked is None or answer is None:
             return
-        if answer.choice is not None:
-            if answer.choice.option.step is not self.step:
+        if isinstance(answer, Choice):
+            if answer.option.step is not self.step:
                 return  # it comes too late
             self._failures, self._trouble = 0, ""
-            if answer.choice.plan is not None:
-                self._take_up(answer.choice, now)
-        elif answer.request.why == "better":
+            if answer.plan is not None:
+                self._take_up(answer, now)
+        elif asked.why == "better":
             self._asked = now + RETRY
         elif answer.crashed:
             self._trouble, self._not_before = f"No path: {answer.reason}.", now + RETRY

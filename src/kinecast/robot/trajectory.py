@@ -82,13 +82,8 @@ class Trajectory:
         """The same path in `factor` times the time, from the same start time."""
         return Trajectory(self.times[0] + factor * (self.times - self.times[0]), self.q)
 
-    def peaks(self, count: int = 200) -> Float[np.ndarray, "3 6"]:
-        """(3, 6) greatest speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3] of each angle, at instants."""
-        rates = np.stack(self.derivatives(np.linspace(self.times[0], self.times[-1], count))[1:])
-        greatest: Float[np.ndarray, "3 6"] = np.abs(rates).max(axis=1)
-        return greatest
-
     def excess(self, limits: Float[np.ndarray, "3 *D"], count: int = 200) -> float:
         """How many times as long it would take just within limits of speed, acceleration and jerk; below 1 within."""
-        used = self.peaks(count) / np.reshape(limits, (3, -1))
-        return float((used.max(axis=1) ** (1.0 / np.array([1, 2, 3]))).max())
+        rates = np.abs(self.derivatives(np.linspace(self.times[0], self.times[-1], count))[1:])
+        used = (rates.max(axis=1) / np.reshape(limits, (3, -1))).max(axis=1)
+        return float((used ** (1.0 / np.array([1, 2, 3]))).max())

@@ -167,5 +167,3 @@ def test_cells_have_their_constants_and_others_are_refused() -> None:
     assert Cell().separation == camera
     with pytest.raises(OptionError, match="'office' is none of lab, camera, certified"):
         cell_named("office")
-    with pytest.raises(OptionError, match="delay -1"):
-        Cell(delay=-1.0)
