@@ -61,15 +61,13 @@ class Option:
         target: the cube; None to rest.
         goals: (G, 6) where the way may end [rad].
         point: (3,) where the gripper then goes down to [m]; None at rest.
-        usual: what it takes with nobody there [s].
-        price: of doing this rather than another [s].
+        price: of doing this rather than another, less what it takes from rest with nobody there [s].
     """
 
     step: Step
     target: str | None
     goals: Float[np.ndarray, "G 6"]
     point: Float[np.ndarray, "3"] | None
-    usual: float = 0.0
     price: float = 0.0
 
 
@@ -169,7 +167,7 @@ class Chooser:
 
     def _cost(self, choice: Choice) -> float:
         """What it costs more than with nobody there [s]."""
-        return choice.time.priced(RISK) - choice.option.usual + choice.option.price
+        return choice.time.priced(RISK) + choice.option.price
 
     def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
         """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
@@ -211,28 +209,27 @@ def options_for(
     found = []
     for name in sorted(sequence.remaining, key=lambda name: name != target):
         place = cell.cube(name).position
-        price = 0.0 if name == sequence.remaining[0] else ORDER
-        price += TAKEN if sequence.is_taken(name) else 0.0
-        usual = places.usual(place, SPEED)
-        found.append(Option(Step.REACH, name, places.above(place, q), place, usual, price))
+        price = ORDER * (name != sequence.remaining[0]) + TAKEN * sequence.is_taken(name) - places.usual(place, SPEED)
+        found.append(Option(Step.REACH, name, places.above(place, q), place, price))
     return tuple(found)
 
 
 def grasp_rows(arm: UR5, cell: Cell, trajectory: Trajectory, option: Option) -> Float[np.ndarray, "W 6"]:
     """(W, 6) a way, the way down from its end, the gripper's time, and the way up again: `STEP` apart [rad]."""
-    rows = _sampled(within_limits(trajectory, arm))
+    rows = _followed(trajectory, arm)
     if option.point is None:
         return rows
     to = cell.grasp(option.point)[:3, 3]
     down = straight(arm, rows[-1], to, 0.0)
     if down is None:
         return rows
-    below = _sampled(within_limits(down, arm))[1:]
+    below = _followed(down, arm)[1:]
     still = np.repeat(below[-1:], int(np.ceil(DWELL / STEP)), axis=0)
     return np.concatenate([rows, below, still, below[::-1], rows[-1:]])
 
 
-def _sampled(trajectory: Trajectory) -> Float[np.ndarray, "W 6"]:
-    """Configurations `STEP` apart, the last at its end or a little after [rad]."""
+def _followed(trajectory: Trajectory, arm: UR5) -> Float[np.ndarray, "W 6"]:
+    """Configurations `STEP` apart as it is followed, the last at its end or a little after [rad]."""
+    trajectory = within_limits(trajectory, arm)
     count = int(np.ceil(trajectory.duration / STEP - 1e-6))
     return trajectory.at(trajectory.times[0] + STEP * np.arange(count + 1))[0]

@@ -92,12 +92,12 @@ class Chomp:
         self.arm = arm
         # The arm's own pedestal is in the way too, from the elbow on.
         self._obstacles = np.concatenate([obstacles, Capsule(*arm.pedestal).row[None]])
-        self._first_link = np.append(np.full(len(obstacles), FIRST_LINK), LINKS.index("elbow"))
         start, end = np.split(arm.capsule_sites, 2)
         counts = np.ceil(lengths(end - start) / (SPACING * arm.capsule_radius)).astype(int) + 1
         self._sites = np.concatenate([np.linspace(*each) for each in zip(start, end, counts, strict=True)])
-        self._link = np.repeat(np.arange(len(LINKS)), counts)
-        self._joint, self._radius = arm.capsule_joint[self._link], arm.capsule_radius[self._link]
+        link = np.repeat(np.arange(len(LINKS)), counts)
+        self._joint, self._radius = arm.capsule_joint[link], arm.capsule_radius[link]
+        self._meets = link >= np.array([*[FIRST_LINK] * len(obstacles), LINKS.index("elbow")])[:, None]
 
     def optimise(
         self,
@@ -143,7 +143,7 @@ class Chomp:
         frames = self.arm.frames(q)
         places = fixed_places(frames, self._joint, self._sites)
         inner = places[1:-1]
-        gap, pull = _nearest_obstacles(self._obstacles, self._first_link, inner, self._link)
+        gap, pull = _nearest_obstacles(self._obstacles, self._meets, inner)
         gap -= self._radius + margin
         least, (cost, slope) = gap.min(), _cost(gap, SCENE_ZONE)
         pull *= slope[..., None]
@@ -165,19 +165,14 @@ class Chomp:
 
 @njit(cache=True)
 @no_type_check
-def _nearest_obstacles(
-    rows: np.ndarray, first_link: np.ndarray, points: np.ndarray, link: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distances (W, P) [m] of body points to the nearest of the obstacles (O, 17), and gradients (W, P, 3).
-
-    An obstacle counts for links from its `first_link` (O,) on; the points are of links (P,).
-    """
+def _nearest_obstacles(rows: np.ndarray, meets: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distances (W, P) [m] of points to the nearest obstacle (O, 17) that they meet (O, P), and gradients."""
     distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
     for w in range(points.shape[0]):
         for p in range(points.shape[1]):
             place = points[w, p, 0], points[w, p, 1], points[w, p, 2]
             for o in range(len(rows)):
-                if link[p] >= first_link[o]:
+                if meets[o, p]:
                     found, direction = point_distance(rows[o], place)
                     if found < distance[w, p]:
                         distance[w, p] = found
@@ -188,7 +183,7 @@ def _nearest_obstacles(
 @njit(cache=True)
 @no_type_check
 def _nearest_capsules(capsules: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distances (W, P) [m] of body points to the nearest capsule (W, K, 7) of then, and gradients (W, P, 3)."""
+    """Signed distances (W, P) [m] of points to the nearest capsule (W, K, 7) of then, and gradients (W, P, 3)."""
     distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
     for w in range(points.shape[0]):
         for k in range(capsules.shape[1]):

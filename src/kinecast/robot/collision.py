@@ -23,14 +23,9 @@ LOOKS = (0.01, 0.002)
 """Largest ways of any point of the arm between two looks at a motion [m]; the second in tight passages."""
 FIRST_LINK = LINKS.index("upper_arm")
 """The first that may meet the scene: the shoulder only turns on the spot, and what it stands beside does not count."""
-_MEETING = {
-    "pedestal": LINKS[2:],
-    "shoulder": LINKS[3:],
-    "upper_arm": LINKS[4:],
-    "elbow": LINKS[5:],
-    "forearm": LINKS[6:],
-}
-"""Capsules that can meet: no link meets the one that carries it."""
+BODIES = ("pedestal", *LINKS)
+MEETING = [(link, base) for base in range(5) for link in range(base + 3, len(BODIES))]
+"""Pairs of the arm's own capsules that can meet: pedestal to forearm, each with what comes two after it or later."""
 
 
 class CollisionChecker:
@@ -47,17 +42,15 @@ class CollisionChecker:
     def __init__(self, arm: UR5, scene: Scene | None = None) -> None:
         self.arm, self.scene = arm, scene or Scene()
         self._geometry = arm.geometry.copy()
-        names = ("pedestal", *LINKS)
-        pairs = [(names.index(link), names.index(base)) for base, links in _MEETING.items() for link in links]
-        self._own = len(pairs)
+        pairs = MEETING.copy()
         for obstacle in self.scene.obstacles:
             if not isinstance(obstacle, Shape):
                 raise OptionError(f"the scene's {type(obstacle).__name__}: around the arm nothing may move by itself")
             placed = self._geometry.addGeometryObject(pin.GeometryObject("obstacle", 0, *_solid(obstacle)))
-            pairs += [(names.index(link), placed) for link in LINKS[FIRST_LINK:]]
+            pairs += [(link, placed) for link in range(FIRST_LINK + 1, len(BODIES))]
         for pair in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(*pair))
-        self._links = [names[pair[0]] for pair in pairs]
+        self._links = [BODIES[link] for link, _ in pairs]
         self._data, self._placed = arm.model.createData(), pin.GeometryData(self._geometry)
         self._margin = 0.0
 
@@ -70,13 +63,13 @@ class CollisionChecker:
         if not pin.computeCollisions(self.arm.model, self._data, self._geometry, self._placed, q, True):
             return ""
         pair = next(k for k, result in enumerate(self._placed.collisionResults) if result.isCollision())
-        return f"{'the arm itself' if pair < self._own else 'the scene'} ({self._links[pair]})"
+        return f"{'the arm itself' if pair < len(MEETING) else 'the scene'} ({self._links[pair]})"
 
     def clearance(self, q: Float[np.ndarray, "6"]) -> tuple[float, float]:
         """Least distances [m] to the scene, inf where it is empty, and of the arm to itself; below 0 where it cuts."""
         pin.computeDistances(self.arm.model, self._data, self._geometry, self._placed, q)
         found = [result.min_distance for result in self._placed.distanceResults]
-        return min(found[self._own :], default=np.inf), min(found[: self._own])
+        return min(found[len(MEETING) :], default=np.inf), min(found[: len(MEETING)])
 
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
@@ -111,6 +104,5 @@ def _solid(shape: Shape) -> tuple[pin.SE3, coal.ShapeBase]:
         return pin.SE3(np.eye(3), center), coal.Sphere(shape.radius)
     if isinstance(shape, Capsule):
         return pin.SE3(rotation, center), coal.Capsule(shape.radius, float(np.linalg.norm(shape.end - shape.start)))
-    if isinstance(shape, HalfSpace):
-        return pin.SE3.Identity(), coal.Halfspace(shape.normal, float(shape.normal @ center))
-    raise TypeError(f"{type(shape).__name__} is no shape of kinecast.geometry.shapes")
+    assert isinstance(shape, HalfSpace)
+    return pin.SE3.Identity(), coal.Halfspace(shape.normal, float(shape.normal @ center))

@@ -28,6 +28,8 @@ RISE = 3.0
 """How fast the clock may speed up again [1/s]."""
 MEASURED = 0.1
 """What the noise of a camera adds to the speed at which monitoring takes people to come [m/s]."""
+AGE = 0.1
+"""Of what monitoring will know of the people at each moment [s]: the camera's delay."""
 TAIL = 0.1
 """Share of the slowest motions that the price of risk looks at."""
 
@@ -70,7 +72,6 @@ def travel_time(
     motions: Capsules | None,
     options: SeparationOptions,
     wait: float = 0.0,
-    age: float = 0.1,
 ) -> TravelTime:
     """Rolls the arm forward beside every motion.
 
@@ -80,7 +81,6 @@ def travel_time(
         motions: of the people from now on, (S, N, K, 3) `STEP` apart; None: nobody is there.
         options: of monitoring.
         wait: from now until the path is begun [s].
-        age: of what monitoring will know of the people at each moment [s]: the camera's delay.
 
     Returns:
         Times from now to the last configuration. People whose motions end before are no longer there.
@@ -89,7 +89,7 @@ def travel_time(
     if motions is None or len(motions.radius) == 0:
         return TravelTime(nominal, np.array([nominal]))
     o = options
-    monitored = (o.reaction, o.braking, o.least_speed, o.constant, o.across, age)
+    monitored = (o.reaction, o.braking, o.least_speed, o.constant, o.across, AGE)
     return TravelTime(nominal, np.sort(_roll_out(*arm.capsules(q), *motions, wait, monitored)))
 
 

@@ -182,10 +182,7 @@ def _duration(way: Float[np.ndarray, "6"]) -> float:
     """Of a motion of least jerk from rest to rest along a way of each angle [rad], within the limits [s]."""
     longest = float(np.abs(way).max())
     return max(
-        1.875 * longest / SPEED,
-        float(np.sqrt(5.7735 * longest / ACCELERATION)),
-        float(np.cbrt(60.0 * longest / JERK)),
-        SHORTEST,
+        1.875 * longest / SPEED, (5.7735 * longest / ACCELERATION) ** 0.5, (60 * longest / JERK) ** (1 / 3), SHORTEST
     )
 
 

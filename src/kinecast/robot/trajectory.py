@@ -49,10 +49,8 @@ class Trajectory:
     def __post_init__(self) -> None:
         if len(self.times) < 2 or len(self.q) != len(self.times):
             raise OptionError(f"{len(self.q)} waypoints for {len(self.times)} times: at least two, one for each")
-        if not (np.isfinite(self.times).all() and np.isfinite(self.q).all()):
-            raise OptionError("a trajectory must be finite")
-        if not np.all(np.diff(self.times) > 0):
-            raise OptionError(f"a trajectory's times must increase, found {self.times.tolist()} s")
+        if not (np.all(np.diff(self.times) > 0) and np.isfinite(self.q).all()):
+            raise OptionError(f"a trajectory must be finite, and its times must increase: {self.times.tolist()} s")
 
     @property
     def duration(self) -> float:

@@ -32,7 +32,7 @@ def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest
     def cost(q: np.ndarray) -> float:
         places = apply(arm.frames(q)[:, chomp._joint], chomp._sites)
         far = np.array([shape.signed_distance(places) for shape in shapes])
-        far[np.broadcast_to(chomp._first_link[:, None, None] > chomp._link, far.shape)] = np.inf
+        far[np.broadcast_to(~chomp._meets[:, None], far.shape)] = np.inf
         gap = far.min(axis=0) - chomp._radius - 0.005
         price = np.where(gap < 0, 0.025 - gap, np.where(gap < 0.05, 0.5 * (gap - 0.05) ** 2 / 0.05, 0.0))
         return float((0.5 * (price[1:] + price[:-1]) * np.linalg.norm(np.diff(places, axis=0), axis=-1)).sum())

@@ -71,7 +71,7 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     from kinecast.robot.trajectory import Trajectory
 
     rows, body = way(arm), motions(1.17)
-    foretold = travel_time(arm, rows, body, CELL.separation, age=0.1).mean
+    foretold = travel_time(arm, rows, body, CELL.separation).mean
     executor, dt, steps = Executor(arm, 0.008, rows[0]), 0.008, 0
     trajectory = Trajectory(STEP * np.arange(len(rows)), rows)
     executor.follow(trajectory)
@@ -121,7 +121,7 @@ def test_without_a_past_they_stand_and_what_is_new_returns() -> None:
 def options(arm: UR5, q: np.ndarray) -> tuple[Option, ...]:
     places = GraspConfigurations(arm, CELL)
     return tuple(
-        Option(Step.REACH, cube.name, places.above(cube.position, q), cube.position, places.usual(cube.position, 1.57))
+        Option(Step.REACH, cube.name, places.above(cube.position, q), cube.position, -places.usual(cube.position, 1.57))
         for cube in CELL.cubes
     )
 
