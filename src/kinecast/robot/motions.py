@@ -64,17 +64,16 @@ class PoseHistory:
     """What one person did in the last minute, ten postures a second."""
 
     def __init__(self) -> None:
-        self._stamps: deque[float] = deque(maxlen=KEPT)
+        self._newest = -np.inf
         self._poses: deque[Float[np.ndarray, "6 3"]] = deque(maxlen=KEPT)
 
     def add(self, stamp: float, arms: Float[np.ndarray, "6 3"]) -> None:
         """Keeps a posture, unless a joint is not seen or the last is too recent; a gap begins a new past."""
-        if not np.isfinite(arms).all() or (self._stamps and stamp < self._stamps[-1] + 0.9 * STEP):
+        if not np.isfinite(arms).all() or stamp < self._newest + 0.9 * STEP:
             return
-        if self._stamps and stamp > self._stamps[-1] + 10 * STEP:
-            self._stamps.clear()
+        if stamp > self._newest + 10 * STEP:
             self._poses.clear()
-        self._stamps.append(stamp)
+        self._newest = stamp
         self._poses.append(arms)
 
     def carry_on(

@@ -158,14 +158,12 @@ def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], st
     Returns:
         The path; None where the arm cannot follow the line without turning over.
     """
-    T = arm.forward_kinematics(q)
-    way = to - T[:3, 3]
-    share = minimum_jerk(WAYPOINTS)  # its peak speed is 15/8 of its mean
+    T = np.tile(arm.forward_kinematics(q), (WAYPOINTS, 1, 1))
+    way = to - T[0, :3, 3]
+    T[:, :3, 3] += minimum_jerk(WAYPOINTS)[:, None] * way  # its peak speed is 15/8 of its mean
     duration = max(1.875 * float(np.linalg.norm(way)) / VERTICAL, 0.1)
     rows = [np.asarray(q, dtype=np.float64)]
-    for s in share[1:]:
-        place = T.copy()
-        place[:3, 3] += s * way
+    for place in T[1:]:
         choices = arm.inverse_kinematics(place)
         change = _change(choices, rows[-1])
         if change.min(initial=np.inf) > CONTINUOUS:
@@ -193,11 +191,8 @@ class GraspConfigurations:
 
     def usual(self, point: Float[np.ndarray, "3"], speed: float) -> float:
         """Time from rest to above a point, with nobody there, at a speed of the joints [rad/s]."""
-        rows = self._above[tuple(point)]
-        if not len(rows) or not len(self._resting):
-            return 0.0
-        way = np.abs(nearest(rows, self._resting[0], self._range, 1)[0] - self._resting[0]).max()
-        return 1.875 * float(way) / speed
+        way = [self.above(point, rest)[:1] - rest for rest in self._resting[:1]]
+        return 1.875 * float(np.abs(way).max(initial=0.0)) / speed
 
     def above(self, point: Float[np.ndarray, "3"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "G 6"]:
         """Configurations above a cube or place from which the way down is straight, the nearest to q [rad] first."""
