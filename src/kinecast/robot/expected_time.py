@@ -90,31 +90,26 @@ def travel_time(
         return TravelTime(nominal, np.array([nominal]))
     o = options
     monitored = (o.reaction, o.braking, o.least_speed, o.constant, o.across, AGE)
-    return TravelTime(nominal, np.sort(_roll_out(*arm.capsules(q), *motions, wait, monitored)))
+    return TravelTime(nominal, np.sort(_roll_out(arm.capsules(q), motions, wait, monitored)))
 
 
 @njit(cache=True)
 @no_type_check
-def _roll_out(
-    a0: np.ndarray,
-    a1: np.ndarray,
-    arm_radius: np.ndarray,
-    b0: np.ndarray,
-    b1: np.ndarray,
-    body_radius: np.ndarray,
-    wait: float,
-    monitored: tuple[float, float, float, float, float, float],
-) -> np.ndarray:
-    """(S,) times [s] for links (W, L, 3) beside capsules (S, N, K, 3)."""
-    end = len(a0) - 1.0
-    out = np.empty(len(b0))
-    links = np.empty((len(arm_radius), 2, 3)), np.empty((len(arm_radius), 2, 3)), np.empty((len(arm_radius), 3))
-    limbs = np.empty((len(body_radius), 2, 3)), np.empty((len(body_radius), 2, 3)), np.empty((len(body_radius), 3))
-    for s in range(len(b0)):
+def _roll_out(arm, people, wait, monitored):
+    """(S,) times [s] of links (W, L, 3) beside capsules (S, N, K, 3)."""
+    end, count = len(arm.start) - 1.0, people.start.shape[1]
+    out = np.empty(len(people.start))
+    links = np.empty((len(arm.radius), 2, 3)), np.empty((len(arm.radius), 2, 3)), np.empty((len(arm.radius), 3))
+    limbs = (
+        np.empty((len(people.radius), 2, 3)),
+        np.empty((len(people.radius), 2, 3)),
+        np.empty((len(people.radius), 3)),
+    )
+    for s in range(len(out)):
         clock, rate, n = 0.0, 1.0, wait / STEP
-        while clock < end and n < b0.shape[1] - 1:
-            _at(a0, a1, arm_radius, clock, links)
-            _at(b0[s], b1[s], body_radius, n, limbs)
+        while clock < end and n < count - 1:
+            _at(arm.start, arm.end, arm.radius, clock, links)
+            _at(people.start[s], people.end[s], people.radius, n, limbs)
             rate = min(_rate(links, limbs, monitored), rate + RISE * STEP)
             if clock + rate >= end:
                 n += (end - clock) / rate
@@ -128,13 +123,7 @@ def _roll_out(
 
 @njit(cache=True)
 @no_type_check
-def _at(
-    start: np.ndarray,
-    end: np.ndarray,
-    radius: np.ndarray,
-    time: float,
-    out: tuple[np.ndarray, np.ndarray, np.ndarray],
-) -> None:
+def _at(start, end, radius, time, out):
     """Writes where capsules (N, M, 3) are after so many steps: their ends (M, 2, 3) and these ends' ways in a step.
 
     And (M, 3): their radii [m], and bounds of the speed of any point [m/s] and of its distance from the middle [m].
@@ -158,11 +147,7 @@ def _at(
 
 @njit(cache=True)
 @no_type_check
-def _rate(
-    links: tuple[np.ndarray, np.ndarray, np.ndarray],
-    limbs: tuple[np.ndarray, np.ndarray, np.ndarray],
-    monitored: tuple[float, float, float, float, float, float],
-) -> float:
+def _rate(links, limbs, monitored):
     """Share of its full speed that every pair allows the arm."""
     reaction, braking, least, constant, across, age = monitored
     arm, arm_way, arm_bounds = links
