@@ -28,8 +28,7 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.chomp import Chomp
 from kinecast.robot.collaboration import generated_person, predictor_named
 from kinecast.robot.collision import LOOKS, CollisionChecker
-from kinecast.robot.planner import SCENE_MARGINS, WAYPOINTS, NoPlan, Planner
-from kinecast.robot.seeding import searched
+from kinecast.robot.planner import SCENE_MARGINS, WAYPOINTS, NoPlan, Planner, searched
 from kinecast.robot.simulated_person import ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.robot.trajectory import Trajectory, minimum_jerk

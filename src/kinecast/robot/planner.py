@@ -6,22 +6,31 @@ People are no obstacles (docs/decisions/0028): a way may bend where they would s
 from __future__ import annotations
 
 import math
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
 from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.pick_place import nearest, postures
-from kinecast.robot.seeding import searched
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["SPEED", "NoPlan", "Planner"]
+try:
+    from ompl import base as ob
+    from ompl import geometric as og
+    from ompl import util as ou
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("the robot", "robot") from error
+
+__all__ = ["SPEED", "NoPlan", "Planner", "searched"]
 
 SPEED, ACCELERATION, JERK = 1.57, 4.0, 75.0
 """Greatest of an angle [rad/s, rad/s^2, rad/s^3]: half of the speed that the arm can do, as beside people nothing is
@@ -40,10 +49,15 @@ SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)
 """Least distances from the scene that the descent keeps, in turn [m]."""
 SEARCH_MARGINS = (0.003, 0.001)
 """Kept by searched paths [m], in turn: what follows them cuts corners."""
+SEARCH_STEP = 0.07
+"""Way over all angles between two looks at an edge [rad], 0.06 m at full reach; plans are checked finely again."""
+SHORTCUTS = 60
+"""Tries to shorten a path that was found."""
 DRAWN_IN = (0.3, 0.3)
 """Distance from the arm's axis and height of a hand that is drawn in [m]."""
 ROOM, ROOM_WORTH = 0.1, 2.0
 """So much room around a goal [m], from the scene and from the arm itself, is worth a later arrival [s/m]."""
+_ONE_SEARCH_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -166,16 +180,83 @@ class Planner:
         return self.checker.check(trajectory) or trajectory
 
 
+def searched(
+    checker: CollisionChecker,
+    start: Float[np.ndarray, "6"],
+    goals: Float[np.ndarray, "G 6"],
+    margin: float,
+    iterations: int,
+    seed: int = 0,
+    seconds: float = math.inf,
+) -> Float[np.ndarray, "M 6"] | None:
+    """Corners of a free path from the start to any of the goals, by RRTConnect, shortened; None where none is found.
+
+    It looks half a turn around start and goals, within the range: whole turns more lead nowhere new.
+
+    Args:
+        checker: the arm and its scene.
+        start: (6,) [rad].
+        goals: (G, 6) [rad].
+        margin: kept from the scene and the arm itself [m].
+        iterations: of the search at most, about 0.5 ms each, and
+        seed: of it; the same seed gives the same path as long as time suffices.
+        seconds: to search at most.
+    """
+    free = [goal for goal in goals if not checker.touched(goal, margin)]
+    if not free or checker.touched(start, margin):
+        return None
+    end, left = time.perf_counter() + seconds, count(iterations, -1)
+    ends, bounds = np.stack([start, *free]), ob.RealVectorBounds(6)
+    low = np.maximum(ends.min(axis=0) - np.pi, checker.arm.q_range[:, 0])
+    high = np.minimum(ends.max(axis=0) + np.pi, checker.arm.q_range[:, 1])
+    with _ONE_SEARCH_AT_A_TIME:
+        ou.setLogLevel(ou.LOG_NONE)  # what it finds is in what it returns
+        # Generators made from here on follow from this seed, whatever OMPL's error would say.
+        ou.RNG.setSeed(seed + 1)
+        space = ob.RealVectorStateSpace(6)
+        for j in range(6):
+            bounds.setLow(j, float(low[j]))
+            bounds.setHigh(j, float(high[j]))
+        space.setBounds(bounds)
+        setup = og.SimpleSetup(space)
+        information = setup.getSpaceInformation()
+        information.setStateValidityCheckingResolution(SEARCH_STEP / space.getMaximumExtent())
+        setup.setStateValidityChecker(lambda state: not checker.touched(_angles(state), margin))
+        setup.addStartState(_state(space, start))
+        targets = ob.GoalStates(information)
+        for goal in free:
+            targets.addState(_state(space, goal))
+        setup.setGoal(targets)
+        setup.setPlanner(og.RRTConnect(information))
+        setup.solve(ob.PlannerTerminationCondition(lambda: next(left) <= 0 or time.perf_counter() > end))
+        if not setup.haveExactSolutionPath():
+            return None
+        path = setup.getSolutionPath()
+        og.PathSimplifier(information).partialShortcutPath(path, SHORTCUTS)
+        return np.array([_angles(state) for state in path.getStates()])
+
+
+def _angles(state: ob.State) -> Float[np.ndarray, "6"]:
+    return np.array([state[j] for j in range(6)])
+
+
+def _state(space: ob.RealVectorStateSpace, q: Float[np.ndarray, "6"]) -> ob.State:
+    state = space.allocState()
+    for j, angle in enumerate(q):
+        state[j] = float(angle)
+    return state
+
+
 def _along(
-    corners: Float[np.ndarray, "M 6"], count: int, start_time: float
-) -> tuple[Float[np.ndarray, "count 6"], Float[np.ndarray, " count"]]:
+    corners: Float[np.ndarray, "M 6"], waypoints: int, start_time: float
+) -> tuple[Float[np.ndarray, "W 6"], Float[np.ndarray, " W"]]:
     """Waypoints along straight legs, with the speed of least jerk over all of them, and their times [s]."""
     legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     keep = np.concatenate([[True], legs > 0])
     along = np.concatenate([[0.0], np.cumsum(legs)])[keep]
-    share = minimum_jerk(count) * along[-1]
+    share = minimum_jerk(waypoints) * along[-1]
     path = np.stack([np.interp(share, along, column) for column in corners[keep].T], axis=1)
-    return path, start_time + np.linspace(0.0, _duration(np.abs(np.diff(path, axis=0)).sum(axis=0)), count)
+    return path, start_time + np.linspace(0.0, _duration(np.abs(np.diff(path, axis=0)).sum(axis=0)), waypoints)
 
 
 def _duration(way: Float[np.ndarray, "6"]) -> float:

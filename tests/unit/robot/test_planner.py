@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from itertools import pairwise
 
 import numpy as np
 
 from kinecast.geometry.shapes import Capsule
 from kinecast.robot.cell import CAMERA
 from kinecast.robot.chomp import People
-from kinecast.robot.planner import ACCELERATION, JERK, SPEED, NoPlan, Planner
+from kinecast.robot.collision import CollisionChecker
+from kinecast.robot.planner import ACCELERATION, JERK, SPEED, NoPlan, Planner, searched
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
@@ -122,7 +124,7 @@ def test_why_there_is_no_plan_is_said_in_words(planner: Planner) -> None:
 def test_the_library_needs_none_of_the_robots_packages_and_the_robot_names_the_pip_command() -> None:
     code = """
 import sys, kinecast, kinecast.types
-packages = {"pinocchio": "ur5", "coal": "collision", "ruckig": "execution", "ompl": "seeding"}
+packages = {"pinocchio": "ur5", "coal": "collision", "ruckig": "execution", "ompl": "planner"}
 print(sorted(packages.keys() & set(sys.modules)))
 for package, module in packages.items():
     sys.modules[package] = None
@@ -136,3 +138,26 @@ for package, module in packages.items():
     loaded, *errors = done.stdout.splitlines()
     assert loaded == "[]"
     assert errors == ["the robot needs optional packages: pip install 'kinecast[robot]'"] * 4
+
+
+def test_a_path_leads_from_the_start_to_a_goal_and_is_free_the_same_for_the_same_seed(arm: UR5) -> None:
+    checker = CollisionChecker(arm, posts(*WALL))
+    paths = [searched(checker, HOME, AWAY[None], 0.003, 5000, seed) for seed in (3, 4, 3)]
+    for corners in paths:
+        assert corners is not None
+        np.testing.assert_allclose(corners[[0, -1]], [HOME, AWAY], atol=1e-12)
+        assert not any(checker.touched(q) for leg in pairwise(corners) for q in np.linspace(*leg, 200))
+    np.testing.assert_array_equal(paths[0], paths[2])
+    assert paths[0].shape != paths[1].shape or not np.allclose(paths[0], paths[1])
+
+
+def test_it_stops_when_iterations_or_time_are_over(arm: UR5) -> None:
+    walled = CollisionChecker(arm, posts(*WALL))
+    for seconds, iterations in ((30.0, 2), (0.0, 10**9)):
+        assert searched(walled, HOME, AWAY[None], 0.003, iterations, seconds=seconds) is None
+
+
+def test_a_blocked_end_has_no_path(arm: UR5) -> None:
+    blocked = CollisionChecker(arm, posts([-0.4, -0.3, 0.1, -0.4, -0.3, 0.4, 0.1]))
+    assert searched(blocked, HOME, AWAY[None], 0.003, 10) is None
+    assert searched(blocked, AWAY, HOME[None], 0.003, 10) is None
