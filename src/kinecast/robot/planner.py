@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count, pairwise
@@ -187,7 +186,6 @@ def searched(
     margin: float,
     iterations: int,
     seed: int = 0,
-    seconds: float = math.inf,
 ) -> Float[np.ndarray, "M 6"] | None:
     """Corners of a free path from the start to any of the goals, by RRTConnect, shortened; None where none is found.
 
@@ -198,14 +196,13 @@ def searched(
         start: (6,) [rad].
         goals: (G, 6) [rad].
         margin: kept from the scene and the arm itself [m].
-        iterations: of the search at most, about 0.5 ms each, and
-        seed: of it; the same seed gives the same path as long as time suffices.
-        seconds: to search at most.
+        iterations: of the search at most, about 0.5 ms each.
+        seed: of the search; the same seed gives the same path.
     """
     free = [goal for goal in goals if not checker.touched(goal, margin)]
     if not free or checker.touched(start, margin):
         return None
-    end, left = time.perf_counter() + seconds, count(iterations, -1)
+    left = count(iterations, -1)
     ends, bounds = np.stack([start, *free]), ob.RealVectorBounds(6)
     low = np.maximum(ends.min(axis=0) - np.pi, checker.arm.q_range[:, 0])
     high = np.minimum(ends.max(axis=0) + np.pi, checker.arm.q_range[:, 1])
@@ -228,7 +225,7 @@ def searched(
             targets.addState(_state(space, goal))
         setup.setGoal(targets)
         setup.setPlanner(og.RRTConnect(information))
-        setup.solve(ob.PlannerTerminationCondition(lambda: next(left) <= 0 or time.perf_counter() > end))
+        setup.solve(ob.PlannerTerminationCondition(lambda: next(left) <= 0))
         if not setup.haveExactSolutionPath():
             return None
         path = setup.getSolutionPath()

@@ -151,10 +151,8 @@ def test_a_path_leads_from_the_start_to_a_goal_and_is_free_the_same_for_the_same
     assert paths[0].shape != paths[1].shape or not np.allclose(paths[0], paths[1])
 
 
-def test_it_stops_when_iterations_or_time_are_over(arm: UR5) -> None:
-    walled = CollisionChecker(arm, posts(*WALL))
-    for seconds, iterations in ((30.0, 2), (0.0, 10**9)):
-        assert searched(walled, HOME, AWAY[None], 0.003, iterations, seconds=seconds) is None
+def test_it_stops_when_iterations_are_over(arm: UR5) -> None:
+    assert searched(CollisionChecker(arm, posts(*WALL)), HOME, AWAY[None], 0.003, 2) is None
 
 
 def test_a_blocked_end_has_no_path(arm: UR5) -> None:
