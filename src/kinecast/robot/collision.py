@@ -25,7 +25,7 @@ FIRST_LINK = LINKS.index("upper_arm")
 """The first that may meet the scene: the shoulder only turns on the spot, and what it stands beside does not count."""
 BODIES = ("pedestal", *LINKS)
 MEETING = [(link, base) for base in range(5) for link in range(base + 3, len(BODIES))]
-"""Pairs of the arm's own capsules that can meet: pedestal to forearm, each with what comes two after it or later."""
+"""Pairs of the arm's own capsules that can meet: pedestal to forearm, each with those from the third after it on."""
 
 
 class CollisionChecker:
@@ -74,8 +74,7 @@ class CollisionChecker:
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
         coarse = np.linspace(trajectory.times[0], trajectory.times[-1], 2 * len(trajectory.times))
-        capsules = self.arm.capsules(trajectory.at(coarse)[0])
-        ends = np.concatenate([capsules.start, capsules.end], axis=1)
+        ends = np.concatenate(self.arm.capsules(trajectory.at(coarse)[0])[:2], axis=1)
         way = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1) + 1e-4
         travelled = np.concatenate([[0.0], np.cumsum(way)])
         count = int(np.ceil(travelled[-1] / step)) + 1
