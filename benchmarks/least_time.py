@@ -22,10 +22,11 @@ from benchmarks.collaboration import person, recordings
 from benchmarks.machine import RESULTS, facts, save
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.body import body_capsules
+from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Option, grasp_rows
 from kinecast.robot.expected_time import travel_time
-from kinecast.robot.motions import STEP, Motions
+from kinecast.robot.motions import STEP
 from kinecast.robot.pick_place import GraspConfigurations, Step
 from kinecast.robot.planner import NoPlan, Planner
 from kinecast.robot.simulated_person import Person
@@ -62,7 +63,7 @@ class Ways:
                 plan = self._planner.plan(q, option.goals, 0.0)
                 if isinstance(plan, NoPlan):
                     raise SystemExit(f"no way {step.value} ({order[-1]}): {plan.reason}")
-                found.append(grasp_rows(self.arm, self.cell, plan.trajectory, option))
+                found.append(grasp_rows(self.arm, self.cell, plan, option))
                 q = found[-1][-1]
             self._rows[order] = found
         return self._rows[order]
@@ -72,23 +73,23 @@ class Ways:
         motion = None if somebody is None else true_motion(somebody)
         return min(self._time(self.rows(order), motion) for order in permutations(self.cell.order))
 
-    def _time(self, ways: list[np.ndarray], motion: Motions | None) -> float:
+    def _time(self, ways: list[np.ndarray], motion: Capsules | None) -> float:
         now = 0.0
         for rows in ways:
             left = None
             if motion is not None:
                 since = min(round(now / STEP), motion.start.shape[1] - 2)
-                left = Motions(motion.start[:, since:], motion.end[:, since:], motion.radius)
+                left = Capsules(motion.start[:, since:], motion.end[:, since:], motion.radius)
             now += travel_time(self.arm, rows, left, self.cell.separation).mean
         return now
 
 
-def true_motion(somebody: Person) -> Motions:
+def true_motion(somebody: Person) -> Capsules:
     """All that a person does in an episode."""
     poses = np.array([somebody.at(STEP * n) for n in range(round(LONGEST / STEP))])
     arms = poses[:, [somebody.joints.index(name) for name in ARM_JOINTS]]
     body = body_capsules(ARM_JOINTS, arms)
-    return Motions(body.start[None], body.end[None], body.radius)
+    return Capsules(body.start[None], body.end[None], body.radius)
 
 
 def main() -> None:

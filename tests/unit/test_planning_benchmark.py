@@ -13,6 +13,7 @@ if find_spec("benchmarks") is None:
 from benchmarks import planning
 
 from kinecast.robot.collision import CollisionChecker
+from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
 
@@ -23,7 +24,7 @@ def test_a_problem_is_free_at_both_ends_and_not_between() -> None:
         checker = CollisionChecker(UR5(), task.scene)
         assert not checker.touched(task.start, 0.02)
         assert not checker.touched(task.goal, 0.02)
-        blocked += not checker.edge_is_free(task.start, task.goal, 0.0)
+        blocked += bool(checker.check(Trajectory(np.array([0.0, 1.0]), np.stack([task.start, task.goal]))))
         again = planning.problem(np.random.default_rng(seed))
         np.testing.assert_array_equal(task.scene.rows(np.zeros(1)), again.scene.rows(np.zeros(1)))
     assert blocked >= 4

@@ -211,7 +211,7 @@ def warm_up(samples: int) -> None:
 
 def episode(arm: UR5, driver: UrDriver, seen: Seen, ended: Callable[[], bool]) -> Iterator[str]:
     """The cell's episode by a real arm, until there is no source or something stops it; what is decided, in lines."""
-    from kinecast.robot.async_planner import ThreadPlanner
+    from kinecast.robot.async_planner import AsyncPlanner
     from kinecast.robot.camera import CameraFrame
     from kinecast.robot.cell import Cell
     from kinecast.robot.choice import Chooser
@@ -221,7 +221,7 @@ def episode(arm: UR5, driver: UrDriver, seen: Seen, ended: Callable[[], bool]) -
     cell, per_step, newest = Cell(), max(round(STEP / driver.dt), 1), 0.0
     driver.wait()
     q, closed = driver.reading.q, driver.gripped
-    with closing(ThreadPlanner(Chooser(Planner(arm, cell.scene), cell).choose)) as planner:
+    with closing(AsyncPlanner(Chooser(Planner(arm, cell.scene), cell).choose, threaded=True)) as planner:
         supervisor = Supervisor(arm, cell, planner, q, per_step * driver.dt)
         driver.resume()
         while driver.status.name == "OK" and not supervisor.done and not ended():

@@ -17,7 +17,6 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
-    from kinecast.robot.body import OccupancyOptions
     from kinecast.robot.episode import Episode
     from kinecast.robot.outcome import Outcome
     from kinecast.robot.simulated_person import PlayedPerson
@@ -119,12 +118,12 @@ class SimulationConfig:
             recordings = read_recordings((Path(person),), None)
             self.player = replayed_person(max(recordings, key=lambda each: len(each.stamps)), self.cell)
 
-    def simulation(self, scenario: str, predictor: str, body: OccupancyOptions | None = None) -> Simulation:
+    def simulation(self, scenario: str, predictor: str, level: float = 0.95) -> Simulation:
         """One episode, ready to run; says that it compiles where that takes long."""
         from kinecast.robot.collaboration import simulate_scenario
 
         with compiling():
-            return simulate_scenario(scenario, predictor, self.seed, self.samples, self.player, body, self.cell)
+            return simulate_scenario(scenario, predictor, self.seed, self.samples, self.player, level, self.cell)
 
     def write(
         self, out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], scenario: str, predictor: str, **more: object
@@ -162,7 +161,6 @@ def _serve(host: str, port: int, scenario: str, predictor: str, config: Simulati
 
     An OptionError where nothing can listen there, or for no such predictor.
     """
-    from kinecast.robot.body import OccupancyOptions
     from kinecast.robot.collaboration import PREDICTORS, SCENARIOS
     from kinecast.robot.outcome import outcome_of
     from kinecast.view.playback import Setting, Simulations
@@ -174,8 +172,7 @@ def _serve(host: str, port: int, scenario: str, predictor: str, config: Simulati
 
     def make(setting: Setting) -> Simulation:
         print(f"{setting.scenario}, {setting.predictor}, {100 * setting.level:g} %", flush=True)
-        body = OccupancyOptions(level=setting.level)
-        return config.simulation(played[setting.scenario], setting.predictor, body)
+        return config.simulation(played[setting.scenario], setting.predictor, setting.level)
 
     def end(setting: Setting, simulation: Simulation) -> str:
         outcome = outcome_of(simulation.episode, simulation.people, simulation.cell)

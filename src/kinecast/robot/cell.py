@@ -79,13 +79,6 @@ class Cell:
     separation: SeparationOptions = CAMERA
     delay: float = 0.05
 
-    def __post_init__(self) -> None:
-        names = [cube.name for cube in self.cubes]
-        if not 0 <= self.delay < 1:
-            raise OptionError(f"delay {self.delay} s is outside 0..1")
-        if not names or len(set(names)) < len(names):
-            raise OptionError(f"cubes {names}: at least one is needed, each with a name of its own")
-
     @property
     def order(self) -> tuple[str, ...]:
         """Names of the cubes in the order in which they are to be moved."""

@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import Cell
+from kinecast.robot.chomp import People
 from kinecast.robot.execution import within_limits
 from kinecast.robot.expected_time import TravelTime, travel_time
-from kinecast.robot.motions import STEP, Motions, likely
-from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
-from kinecast.robot.planner import SPEED, NoPlan, Plan, Planner
-from kinecast.robot.task_sequence import TaskSequence
+from kinecast.robot.motions import STEP
+from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, TaskSequence, straight
+from kinecast.robot.planner import SPEED, NoPlan, Planner
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
@@ -34,6 +35,8 @@ GAIN, CHANGE = 0.8, 0.4
 """Another way must be sooner by this, another cube by so much more [s]: predictions flicker."""
 ORDER, TAKEN = 0.3, 2.0
 """Price of a cube that is not the next in order, and of one that the person is about to take, or has [s]."""
+FORESEEN, LIKELY = 4.0, 0.5
+"""A way bends around capsules that hold each limb with this probability for so long [s]; the last stay."""
 
 ERRORS = {
     Step.REACH: (
@@ -58,15 +61,13 @@ class Option:
         target: the cube; None to rest.
         goals: (G, 6) where the way may end [rad].
         point: (3,) where the gripper then goes down to [m]; None at rest.
-        usual: what it takes with nobody there [s].
-        price: of doing this rather than another [s].
+        price: of doing this rather than another, less what it takes from rest with nobody there [s].
     """
 
     step: Step
     target: str | None
     goals: Float[np.ndarray, "G 6"]
     point: Float[np.ndarray, "3"] | None
-    usual: float = 0.0
     price: float = 0.0
 
 
@@ -79,7 +80,7 @@ class Request:
         q: (6,) where the arm will stand when it begins [rad].
         start_time: when [s].
         wait: from now until then [s].
-        motions: of the people from now on; None: nobody is there, or nothing is known of what they will do.
+        motions: of the people from now on (kinecast.robot.motions); None: nobody is there, or nothing is known of them.
         present: the first of the options, and (W, 6) configurations `STEP` apart in which the arm goes on with it if
             nothing is changed [rad]; None where it must change, or stands.
         why: in words, to tell answers apart.
@@ -89,7 +90,7 @@ class Request:
     q: Float[np.ndarray, "6"]
     start_time: float
     wait: float = 0.0
-    motions: Motions | None = None
+    motions: Capsules | None = None
     present: Float[np.ndarray, "W 6"] | None = None
     why: str = ""
 
@@ -107,7 +108,7 @@ class Choice:
     """
 
     option: Option
-    plan: Plan | None
+    plan: Trajectory | None
     time: TravelTime
     rows: Float[np.ndarray, "W 6"]
     wait: float = 0.0
@@ -127,27 +128,26 @@ class Chooser:
     """
 
     def __init__(self, planner: Planner, cell: Cell) -> None:
-        self.planner, self.cell, self.separation = planner, cell, cell.separation
+        self.planner, self.cell = planner, cell
 
     def choose(self, request: Request) -> Choice | NoPlan:
         """The option and the way that are done soonest, for what they are; or why there is none."""
         best, least = None, np.inf
         if request.present is not None:
-            time = self._time(request.present, request, 0.0)
-            if time.priced(RISK) - time.nominal < WORTH:
-                return Choice(request.options[0], None, time, request.present)
-            best = Choice(request.options[0], None, time, request.present)
+            best = self._timed(request.options[0], None, request.present, request)
+            if best.time.priced(RISK) - best.time.nominal < WORTH:
+                return best
             least = self._cost(best) - GAIN
         reason = "out of reach"
-        straight_ways = []
+        ways = []
         for option in request.options:
             plan = self.planner.plan(request.q, option.goals, request.start_time)
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:
-                straight_ways.append(self._timed(option, plan, request))
-        straight_ways.sort(key=self._cost)
-        for choice in (*straight_ways, *self._bent(straight_ways, request)):
+                ways.append(self._new(option, plan, request))
+        ways.sort(key=self._cost)
+        for choice in (*ways, *self._bent(ways, request)):
             cost = self._cost(choice)
             if request.present is not None and choice.option is not request.options[0]:
                 cost += CHANGE
@@ -155,27 +155,31 @@ class Chooser:
                 best, least = choice, cost
         return NoPlan(reason) if best is None else best
 
-    def _timed(self, option: Option, plan: Plan, request: Request) -> Choice:
-        rows = grasp_rows(self.planner.arm, self.cell, plan.trajectory, option)
-        return Choice(option, plan, self._time(rows, request, request.wait), rows, request.wait)
+    def _new(self, option: Option, plan: Trajectory, request: Request) -> Choice:
+        return self._timed(option, plan, grasp_rows(self.planner.arm, self.cell, plan, option), request)
+
+    def _timed(
+        self, option: Option, plan: Trajectory | None, rows: Float[np.ndarray, "W 6"], request: Request
+    ) -> Choice:
+        wait = 0.0 if plan is None else request.wait
+        time = travel_time(self.planner.arm, rows, request.motions, self.cell.separation, wait)
+        return Choice(option, plan, time, rows, wait)
 
     def _cost(self, choice: Choice) -> float:
         """What it costs more than with nobody there [s]."""
-        return choice.time.priced(RISK) - choice.option.usual + choice.option.price
-
-    def _time(self, rows: Float[np.ndarray, "W 6"], request: Request, wait: float) -> TravelTime:
-        return travel_time(self.planner.arm, rows, request.motions, self.separation, wait)
+        return choice.time.priced(RISK) + choice.option.price
 
     def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
         """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
         if not ways or request.motions is None or ways[0].time.mean - ways[0].time.nominal < WORTH:
             return
-        best, people = ways[0], likely(request.motions, request.start_time - request.wait)
+        best, instants = ways[0], slice(round(FORESEEN / STEP) + 1)
         assert best.plan is not None
-        for plan in self.planner.bent(
-            best.plan, request.q, best.option.goals, people, request.start_time, self.separation
-        ):
-            bent = self._timed(best.option, plan, request)
+        start, end, radius = request.motions
+        capsules = Capsules(start[:, instants], end[:, instants], radius).regions(LIKELY)
+        times = request.start_time - request.wait + STEP * np.arange(len(capsules))
+        for plan in self.planner.bent(best.plan, People(times, capsules, self.cell.separation)):
+            bent = self._new(best.option, plan, request)
             if bent.time.priced(RISK) < best.time.priced(RISK) - WORTH:
                 yield bent
 
@@ -205,28 +209,27 @@ def options_for(
     found = []
     for name in sorted(sequence.remaining, key=lambda name: name != target):
         place = cell.cube(name).position
-        price = 0.0 if name == sequence.remaining[0] else ORDER
-        price += TAKEN if sequence.is_taken(name) else 0.0
-        usual = places.usual(place, SPEED)
-        found.append(Option(Step.REACH, name, places.above(place, q), place, usual, price))
+        price = ORDER * (name != sequence.remaining[0]) + TAKEN * sequence.is_taken(name) - places.usual(place, SPEED)
+        found.append(Option(Step.REACH, name, places.above(place, q), place, price))
     return tuple(found)
 
 
 def grasp_rows(arm: UR5, cell: Cell, trajectory: Trajectory, option: Option) -> Float[np.ndarray, "W 6"]:
     """(W, 6) a way, the way down from its end, the gripper's time, and the way up again: `STEP` apart [rad]."""
-    rows = _sampled(within_limits(trajectory, arm))
+    rows = _followed(trajectory, arm)
     if option.point is None:
         return rows
     to = cell.grasp(option.point)[:3, 3]
     down = straight(arm, rows[-1], to, 0.0)
     if down is None:
         return rows
-    below = _sampled(within_limits(down, arm))[1:]
+    below = _followed(down, arm)[1:]
     still = np.repeat(below[-1:], int(np.ceil(DWELL / STEP)), axis=0)
     return np.concatenate([rows, below, still, below[::-1], rows[-1:]])
 
 
-def _sampled(trajectory: Trajectory) -> Float[np.ndarray, "W 6"]:
-    """Configurations `STEP` apart, the last at its end or a little after [rad]."""
+def _followed(trajectory: Trajectory, arm: UR5) -> Float[np.ndarray, "W 6"]:
+    """Configurations `STEP` apart as it is followed, the last at its end or a little after [rad]."""
+    trajectory = within_limits(trajectory, arm)
     count = int(np.ceil(trajectory.duration / STEP - 1e-6))
     return trajectory.at(trajectory.times[0] + STEP * np.arange(count + 1))[0]

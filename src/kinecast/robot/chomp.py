@@ -19,9 +19,11 @@ from numba import njit
 
 from kinecast.geometry.distances import point_distance
 from kinecast.geometry.shapes import Capsule
+from kinecast.geometry.transforms import lengths
+from kinecast.robot.capsules import interpolated
 from kinecast.robot.collision import FIRST_LINK
 from kinecast.robot.separation import SeparationOptions
-from kinecast.robot.trajectory import rest_to_rest
+from kinecast.robot.trajectory import minimum_jerk, rest_to_rest
 from kinecast.robot.ur5 import LINKS, UR5, fixed_places
 
 __all__ = ["Chomp", "People"]
@@ -36,6 +38,8 @@ WANTED = 1.0
 """Speed v₀ of a body point that the arm wants beside people [m/s]: about what it reaches on the way to a cube."""
 TIME_WEIGHT = 0.3
 """Of the time lost beside people, next to what is in the way."""
+ITERATIONS, ITERATIONS_BESIDE = (10, 100), (25, 40)
+"""Least and most; it stops between the two once the margins are kept. The second are beside people."""
 PATIENCE, PROGRESS = 20, 1e-3
 """It stops after so many iterations in which the least distance did not grow by so much [m]."""
 SLOWEST = 5e-3
@@ -50,12 +54,18 @@ class People:
     """People beside the path, who cost time.
 
     Attributes:
-        capsules: (W, K, 7) start, end and radius where they are when each waypoint is passed [m].
+        times: (T,) increasing, T of 1 or more [s].
+        capsules: (T, K, 7) start, end and radius where they are then [m].
         separation: monitoring, which allows v(d) = √(h² + 2 a (d − C)) − h, where h = v_h + a T_r.
     """
 
-    capsules: Float[np.ndarray, "W K 7"]
+    times: Float[np.ndarray, " T"]
+    capsules: Float[np.ndarray, "T K 7"]
     separation: SeparationOptions
+
+    def at(self, times: Float[np.ndarray, " W"]) -> People:
+        """The same people at other times [s]."""
+        return People(times, interpolated(times, self.times, self.capsules), self.separation)
 
     def price(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time lost per metre, 1/v(d) − 1/v₀, and its slope: straight on below v₀/4, and scaled by its slope there."""
@@ -82,93 +92,87 @@ class Chomp:
         self.arm = arm
         # The arm's own pedestal is in the way too, from the elbow on.
         self._obstacles = np.concatenate([obstacles, Capsule(*arm.pedestal).row[None]])
-        self._first_link = np.append(np.full(len(obstacles), FIRST_LINK), LINKS.index("elbow"))
-        sites, link = [], []
-        for k, (start, end) in enumerate(zip(*np.split(arm.capsule_sites, 2), strict=True)):
-            count = int(np.ceil(np.linalg.norm(end - start) / (SPACING * arm.capsule_radius[k]))) + 1
-            sites.append(np.linspace(start, end, count))
-            link += [k] * count
-        self._sites, self._joint, self._radius = (
-            np.concatenate(sites),
-            arm.capsule_joint[link],
-            arm.capsule_radius[link],
-        )
-        self._link = np.array(link)
+        start, end = np.split(arm.capsule_sites, 2)
+        counts = np.ceil(lengths(end - start) / (SPACING * arm.capsule_radius)).astype(int) + 1
+        self._sites = np.concatenate([np.linspace(*each) for each in zip(start, end, counts, strict=True)])
+        link = np.repeat(np.arange(len(LINKS)), counts)
+        self._joint, self._radius = arm.capsule_joint[link], arm.capsule_radius[link]
+        self._meets = link >= np.array([*[FIRST_LINK] * len(obstacles), LINKS.index("elbow")])[:, None]
 
     def optimise(
         self,
         path: Float[np.ndarray, "W 6"],
-        straight: Float[np.ndarray, "W 6"],
+        times: Float[np.ndarray, " W"],
         margin: float,
         people: People | None = None,
-        least: int = 10,
-        most: int = 100,
-    ) -> tuple[Float[np.ndarray, "W 6"], float, int]:
+    ) -> tuple[Float[np.ndarray, "W 6"], float]:
         """Pushes a path out of what is in the way.
 
         Args:
             path: (W, 6) to begin with [rad]; its ends stay.
-            straight: (W, 6) the smoothest path between these ends.
+            times: (W,) when each waypoint is passed [s].
             margin: least distance to the obstacles [m].
-            people: who costs time.
-            least, most: iterations; it stops between the two once the margins are kept.
+            people: who cost time.
 
         Returns:
-            The path (W, 6); the least distance of a body point beyond its margin [m], above 0 where every margin is
-            kept, inf where nothing is near; and the iterations made.
+            The path (W, 6); and the least distance of a body point beyond its margin [m], above 0 where every margin is
+            kept, inf where nothing is near.
         """
         q, metric = np.array(path, dtype=np.float64), _metric(len(path))
+        straight = q[0] + minimum_jerk(len(q))[:, None] * (q[-1] - q[0])
+        beside = None if people is None else people.at(times)
+        least, most = ITERATIONS if people is None else ITERATIONS_BESIDE
         best, highest, improved, iteration = q.copy(), -np.inf, 0, 0
         while True:
-            gap, torque = self._forces(q, margin, people)
+            gap, torque = self._forces(q, margin, beside)
             if gap > highest:
                 improved = iteration if gap > highest + PROGRESS else improved
                 best, highest = q.copy(), gap
             change = OBSTACLE_STEP * metric @ torque + SMOOTH_STEP * (q - straight)[1:-1]
             done = gap > 0 and (iteration >= least or not change.any())
             if done or iteration >= most or iteration - improved > PATIENCE:
-                return (q, gap, iteration) if gap > 0 else (best, highest, iteration)
+                return (q, gap) if gap > 0 else (best, highest)
             change *= min(1.0, LARGEST_CHANGE / max(np.abs(change).max(), 1e-12))
             q[1:-1] = np.clip(q[1:-1] - change, *self.arm.q_range.T)
             iteration += 1
 
     def _forces(
-        self, q: Float[np.ndarray, "W 6"], margin: float, people: People | None
+        self, q: Float[np.ndarray, "W 6"], margin: float, beside: People | None
     ) -> tuple[float, Float[np.ndarray, "W-2 6"]]:
         """The least distance beyond its margin [m], and ∇U of the inner waypoints without the smoothness."""
         frames = self.arm.frames(q)
-        places = fixed_places(frames, self._sites, self._joint)
-        gap, pull = _nearest_obstacles(self._obstacles, self._first_link, places[1:-1], self._link)
+        places = fixed_places(frames, self._joint, self._sites)
+        inner = places[1:-1]
+        gap, pull = _nearest_obstacles(self._obstacles, self._meets, inner)
         gap -= self._radius + margin
         least, (cost, slope) = gap.min(), _cost(gap, SCENE_ZONE)
         pull *= slope[..., None]
-        if people is not None:
-            gap, away = _nearest_capsules(people.capsules[1:-1], places[1:-1])
+        if beside is not None:
+            gap, away = _nearest_capsules(beside.capsules[1:-1], inner)
             gap -= self._radius
-            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), people.price(gap)
+            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), beside.price(gap)
             least, cost = min(least, gap.min()), cost + near + lost
             pull += (steep + steeper)[..., None] * away
         if not pull.any():
             return float(least), np.zeros((len(q) - 2, 6))
         forces = _functional_gradient(places, cost, pull)
-        return float(least), _torques(frames[1:-1], self._joint, places[1:-1], forces)
+        # Jᵀ f: z · ((p − o) × f) of each joint and the points that it carries.
+        carried = 1.0 * (self._joint >= np.arange(6)[:, None])
+        force, moment = carried @ forces, carried @ np.cross(inner, forces)
+        origin, axis = frames[1:-1, :, :3, 3], frames[1:-1, :, :3, 2]
+        return float(least), ((moment - np.cross(origin, force)) * axis).sum(axis=-1)
 
 
 @njit(cache=True)
 @no_type_check
-def _nearest_obstacles(
-    rows: np.ndarray, first_link: np.ndarray, points: np.ndarray, link: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distances (W, P) [m] of body points to the nearest of the obstacles (O, 17), and gradients (W, P, 3).
-
-    An obstacle counts for links from its `first_link` (O,) on; the points are of links (P,).
-    """
+def _nearest_obstacles(rows: np.ndarray, meets: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distances (W, P) [m] of points to the nearest obstacle (O, 17) that they meet (O, P), and gradients."""
     distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
     for w in range(points.shape[0]):
         for p in range(points.shape[1]):
             place = points[w, p, 0], points[w, p, 1], points[w, p, 2]
             for o in range(len(rows)):
-                if link[p] >= first_link[o]:
+                if meets[o, p]:
                     found, direction = point_distance(rows[o], place)
                     if found < distance[w, p]:
                         distance[w, p] = found
@@ -179,7 +183,7 @@ def _nearest_obstacles(
 @njit(cache=True)
 @no_type_check
 def _nearest_capsules(capsules: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distances (W, P) [m] of body points to the nearest capsule (W, K, 7) of then, and gradients (W, P, 3)."""
+    """Signed distances (W, P) [m] of points to the nearest capsule (W, K, 7) of then, and gradients (W, P, 3)."""
     distance, gradient = np.full(points.shape[:2], np.inf), np.zeros(points.shape)
     for w in range(points.shape[0]):
         for k in range(capsules.shape[1]):
@@ -196,24 +200,6 @@ def _nearest_capsules(capsules: np.ndarray, points: np.ndarray) -> tuple[np.ndar
                     away = max(away, 1e-12)
                     gradient[w, p, 0], gradient[w, p, 1], gradient[w, p, 2] = x / away, y / away, z / away
     return distance, gradient
-
-
-@njit(cache=True)
-@no_type_check
-def _torques(frames: np.ndarray, joint: np.ndarray, places: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """(W, 6) Jᵀ f of forces (W, P, 3) on points (W, P, 3) of the links of joints (P,): z · ((p − o) × f) of each."""
-    torques = np.zeros(frames.shape[:2])
-    for w in range(frames.shape[0]):
-        for p in range(len(joint)):
-            fx, fy, fz = forces[w, p, 0], forces[w, p, 1], forces[w, p, 2]
-            if fx != 0.0 or fy != 0.0 or fz != 0.0:
-                for j in range(joint[p] + 1):
-                    T = frames[w, j]
-                    x, y, z = places[w, p, 0] - T[0, 3], places[w, p, 1] - T[1, 3], places[w, p, 2] - T[2, 3]
-                    torques[w, j] += (
-                        T[0, 2] * (y * fz - z * fy) + T[1, 2] * (z * fx - x * fz) + T[2, 2] * (x * fy - y * fx)
-                    )
-    return torques
 
 
 def _cost(distance: np.ndarray, zone: float) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,6 @@ from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
 from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.robot.body import OccupancyOptions
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell, standing_at
 from kinecast.robot.simulated_person import Person, PlayedPerson, ReactivePerson
@@ -194,7 +193,7 @@ def simulate_scenario(
     seed: int,
     samples: int = SAMPLES,
     person: PlayedPerson | None = None,
-    body: OccupancyOptions | None = None,
+    level: float = 0.95,
     cell: Cell | None = None,
 ) -> Simulation:
     """One of SCENARIOS, ready to run.
@@ -205,7 +204,7 @@ def simulate_scenario(
         seed: of the person and the camera.
         samples: drawn per prediction.
         person: instead of the scripted one.
-        body: radii of the people's limbs.
+        level: probability with which the space shown as occupied holds each limb.
         cell: where; the default one.
 
     Raises:
@@ -218,4 +217,4 @@ def simulate_scenario(
         person = scripted_person(scenario, seed, cell) if scenario.fetches else generated_person(seed, cell)
     people: list[Person] = [person if scenario.fetches else ReactivePerson(person)]
     predict = predictor_named(predictor, people, samples)
-    return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, body)
+    return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, level)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from jaxtyping import Float
 
@@ -23,19 +21,11 @@ __all__ = ["FIRST_LINK", "CollisionChecker"]
 
 LOOKS = (0.01, 0.002)
 """Largest ways of any point of the arm between two looks at a motion [m]; the second in tight passages."""
-STEP = 0.05
-"""Largest change of an angle between two looks at an edge [rad]: 0.05 m at the arm's full reach of 0.85 m; plans are
-checked finely again."""
 FIRST_LINK = LINKS.index("upper_arm")
 """The first that may meet the scene: the shoulder only turns on the spot, and what it stands beside does not count."""
-_MEETING = {
-    "pedestal": LINKS[2:],
-    "shoulder": LINKS[3:],
-    "upper_arm": LINKS[4:],
-    "elbow": LINKS[5:],
-    "forearm": LINKS[6:],
-}
-"""Capsules that can meet: no link meets the one that carries it."""
+BODIES = ("pedestal", *LINKS)
+MEETING = [(link, base) for base in range(5) for link in range(base + 3, len(BODIES))]
+"""Pairs of the arm's own capsules that can meet: pedestal to forearm, each with those from the third after it on."""
 
 
 class CollisionChecker:
@@ -52,17 +42,15 @@ class CollisionChecker:
     def __init__(self, arm: UR5, scene: Scene | None = None) -> None:
         self.arm, self.scene = arm, scene or Scene()
         self._geometry = arm.geometry.copy()
-        names = ("pedestal", *LINKS)
-        pairs = [(names.index(link), names.index(base)) for base, links in _MEETING.items() for link in links]
-        self._own = len(pairs)
+        pairs = MEETING.copy()
         for obstacle in self.scene.obstacles:
             if not isinstance(obstacle, Shape):
                 raise OptionError(f"the scene's {type(obstacle).__name__}: around the arm nothing may move by itself")
             placed = self._geometry.addGeometryObject(pin.GeometryObject("obstacle", 0, *_solid(obstacle)))
-            pairs += [(names.index(link), placed) for link in LINKS[FIRST_LINK:]]
+            pairs += [(link, placed) for link in range(FIRST_LINK + 1, len(BODIES))]
         for pair in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(*pair))
-        self._links = [names[pair[0]] for pair in pairs]
+        self._links = [BODIES[link] for link, _ in pairs]
         self._data, self._placed = arm.model.createData(), pin.GeometryData(self._geometry)
         self._margin = 0.0
 
@@ -75,27 +63,18 @@ class CollisionChecker:
         if not pin.computeCollisions(self.arm.model, self._data, self._geometry, self._placed, q, True):
             return ""
         pair = next(k for k, result in enumerate(self._placed.collisionResults) if result.isCollision())
-        return f"{'the arm itself' if pair < self._own else 'the scene'} ({self._links[pair]})"
+        return f"{'the arm itself' if pair < len(MEETING) else 'the scene'} ({self._links[pair]})"
 
     def clearance(self, q: Float[np.ndarray, "6"]) -> tuple[float, float]:
         """Least distances [m] to the scene, inf where it is empty, and of the arm to itself; below 0 where it cuts."""
         pin.computeDistances(self.arm.model, self._data, self._geometry, self._placed, q)
         found = [result.min_distance for result in self._placed.distanceResults]
-        return min(found[self._own :], default=np.inf), min(found[: self._own])
-
-    def edge_is_free(self, start: Float[np.ndarray, "6"], end: Float[np.ndarray, "6"], margin: float) -> bool:
-        """Whether the straight way between two configurations keeps a margin [m]; the start is not looked at.
-
-        It is looked at every `STEP`, first the end and the middle: what is in the way is found early.
-        """
-        count = max(int(np.ceil(np.abs(end - start).max() / STEP)), 1)
-        return not any(self.touched(start + (end - start) * k / count, margin) for k in _middle_first(count))
+        return min(found[len(MEETING) :], default=np.inf), min(found[: len(MEETING)])
 
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
         coarse = np.linspace(trajectory.times[0], trajectory.times[-1], 2 * len(trajectory.times))
-        capsules = self.arm.capsules(trajectory.at(coarse)[0])
-        ends = np.concatenate([capsules.start, capsules.end], axis=1)
+        ends = np.concatenate(self.arm.capsules(trajectory.at(coarse)[0])[:2], axis=1)
         way = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1) + 1e-4
         travelled = np.concatenate([[0.0], np.cumsum(way)])
         count = int(np.ceil(travelled[-1] / step)) + 1
@@ -110,18 +89,9 @@ class CollisionChecker:
         found = ""
         for step in LOOKS:
             rows, _ = trajectory.at(self.looks(trajectory, step))
-            found = next((what for q in rows if (what := self.touched(q, 0.5 * step))), "")
-            if not found:
+            if not (found := next((what for q in rows if (what := self.touched(q, 0.5 * step))), "")):
                 break
         return found
-
-
-def _middle_first(count: int) -> Iterator[int]:
-    """The numbers 1 to `count`: the last, the middle, the quarters, …"""
-    yield count
-    stride = 1 << count.bit_length()
-    while stride := stride // 2:
-        yield from range(stride, count, 2 * stride)
 
 
 def _solid(shape: Shape) -> tuple[pin.SE3, coal.ShapeBase]:
@@ -133,6 +103,5 @@ def _solid(shape: Shape) -> tuple[pin.SE3, coal.ShapeBase]:
         return pin.SE3(np.eye(3), center), coal.Sphere(shape.radius)
     if isinstance(shape, Capsule):
         return pin.SE3(rotation, center), coal.Capsule(shape.radius, float(np.linalg.norm(shape.end - shape.start)))
-    if isinstance(shape, HalfSpace):
-        return pin.SE3.Identity(), coal.Halfspace(shape.normal, float(shape.normal @ center))
-    raise TypeError(f"{type(shape).__name__} is no shape of kinecast.geometry.shapes")
+    assert isinstance(shape, HalfSpace)
+    return pin.SE3.Identity(), coal.Halfspace(shape.normal, float(shape.normal @ center))

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.robot.motions import STEP, Motions
+from kinecast.robot.capsules import Capsules
+from kinecast.robot.motions import STEP
 from kinecast.robot.separation import SeparationOptions, allowed_speed, closest_points
 from kinecast.robot.ur5 import UR5
 
@@ -27,6 +28,8 @@ RISE = 3.0
 """How fast the clock may speed up again [1/s]."""
 MEASURED = 0.1
 """What the noise of a camera adds to the speed at which monitoring takes people to come [m/s]."""
+AGE = 0.1
+"""Of what monitoring will know of the people at each moment [s]: the camera's delay."""
 TAIL = 0.1
 """Share of the slowest motions that the price of risk looks at."""
 
@@ -66,20 +69,18 @@ class TravelTime:
 def travel_time(
     arm: UR5,
     q: Float[np.ndarray, "W 6"],
-    motions: Motions | None,
+    motions: Capsules | None,
     options: SeparationOptions,
     wait: float = 0.0,
-    age: float = 0.1,
 ) -> TravelTime:
     """Rolls the arm forward beside every motion.
 
     Args:
         arm: its kinematics.
         q: (W, 6) configurations `STEP` apart at full speed [rad].
-        motions: of the people from now on; None: nobody is there.
+        motions: of the people from now on, (S, N, K, 3) `STEP` apart; None: nobody is there.
         options: of monitoring.
         wait: from now until the path is begun [s].
-        age: of what monitoring will know of the people at each moment [s]: the camera's delay.
 
     Returns:
         Times from now to the last configuration. People whose motions end before are no longer there.
@@ -87,41 +88,29 @@ def travel_time(
     nominal = wait + STEP * (len(q) - 1)
     if motions is None or len(motions.radius) == 0:
         return TravelTime(nominal, np.array([nominal]))
-    capsules = arm.capsules(q)
     o = options
-    monitored = (o.reaction, o.braking, o.least_speed, o.constant, o.across, age)
-    times = _roll_out(
-        capsules.start, capsules.end, capsules.radius, motions.start, motions.end, motions.radius, wait, monitored
-    )
-    return TravelTime(nominal, np.sort(times))
+    monitored = (o.reaction, o.braking, o.least_speed, o.constant, o.across, AGE)
+    return TravelTime(nominal, np.sort(_roll_out(arm.capsules(q), motions, wait, monitored)))
 
 
 @njit(cache=True)
 @no_type_check
-def _roll_out(
-    a0: np.ndarray,
-    a1: np.ndarray,
-    arm_radius: np.ndarray,
-    b0: np.ndarray,
-    b1: np.ndarray,
-    body_radius: np.ndarray,
-    wait: float,
-    monitored: tuple[float, float, float, float, float, float],
-) -> np.ndarray:
-    """(S,) times [s] for links (W, L, 3) beside capsules (S, N, K, 3)."""
-    end = len(a0) - 1.0
-    out = np.empty(len(b0))
-    links = np.empty((2, 2, a0.shape[1], 3))  # start and end, place and way in a step
-    limbs = np.empty((2, 2, b0.shape[2], 3))
-    for s in range(len(b0)):
+def _roll_out(arm, people, wait, monitored):
+    """(S,) times [s] of links (W, L, 3) beside capsules (S, N, K, 3)."""
+    end, count = len(arm.start) - 1.0, people.start.shape[1]
+    out = np.empty(len(people.start))
+    links = np.empty((len(arm.radius), 2, 3)), np.empty((len(arm.radius), 2, 3)), np.empty((len(arm.radius), 3))
+    limbs = (
+        np.empty((len(people.radius), 2, 3)),
+        np.empty((len(people.radius), 2, 3)),
+        np.empty((len(people.radius), 3)),
+    )
+    for s in range(len(out)):
         clock, rate, n = 0.0, 1.0, wait / STEP
-        while clock < end and n < b0.shape[1] - 1:
-            w, m = int(clock), int(n)
-            _between(a0[w], a0[w + 1], clock - w, links[0])
-            _between(a1[w], a1[w + 1], clock - w, links[1])
-            _between(b0[s, m], b0[s, m + 1], n - m, limbs[0])
-            _between(b1[s, m], b1[s, m + 1], n - m, limbs[1])
-            rate = min(_rate(links, arm_radius, limbs, body_radius, monitored), rate + RISE * STEP)
+        while clock < end and n < count - 1:
+            _at(arm.start, arm.end, arm.radius, clock, links)
+            _at(people.start[s], people.end[s], people.radius, n, limbs)
+            rate = min(_rate(links, limbs, monitored), rate + RISE * STEP)
             if clock + rate >= end:
                 n += (end - clock) / rate
                 clock = end
@@ -134,72 +123,64 @@ def _roll_out(
 
 @njit(cache=True)
 @no_type_check
-def _between(first: np.ndarray, last: np.ndarray, share: float, out: np.ndarray) -> None:
-    """Writes places (M, 3) so far from the first to the last, and the way from first to last."""
-    for i in range(len(first)):
+def _at(start, end, radius, time, out):
+    """Writes where capsules (N, M, 3) are after so many steps: their ends (M, 2, 3) and these ends' ways in a step.
+
+    And (M, 3): their radii [m], and bounds of the speed of any point [m/s] and of its distance from the middle [m].
+    """
+    place, way, bounds = out
+    n = int(time)
+    for i in range(len(radius)):
+        fastest = length = 0.0
+        for side in range(2):
+            axis = end if side else start
+            squared = 0.0
+            for k in range(3):
+                way[i, side, k] = axis[n + 1, i, k] - axis[n, i, k]
+                place[i, side, k] = axis[n, i, k] + (time - n) * way[i, side, k]
+                squared += way[i, side, k] ** 2
+            fastest = max(fastest, squared)
         for k in range(3):
-            out[1, i, k] = last[i, k] - first[i, k]
-            out[0, i, k] = first[i, k] + share * out[1, i, k]
+            length += (place[i, 1, k] - place[i, 0, k]) ** 2
+        bounds[i] = radius[i], math.sqrt(fastest) / STEP, radius[i] + 0.5 * math.sqrt(length)
 
 
 @njit(cache=True)
 @no_type_check
-def _rate(
-    links: np.ndarray,
-    arm_radius: np.ndarray,
-    limbs: np.ndarray,
-    body_radius: np.ndarray,
-    monitored: tuple[float, float, float, float, float, float],
-) -> float:
-    """Share of its full speed that every pair allows the arm; places and ways (2, 2, M, 3) of the capsules' ends."""
+def _rate(links, limbs, monitored):
+    """Share of its full speed that every pair allows the arm."""
     reaction, braking, least, constant, across, age = monitored
+    arm, arm_way, arm_bounds = links
+    body, body_way, body_bounds = limbs
     rate = 1.0
-    fastest, half = _bounds(links)
-    human_fastest, limb_half = _bounds(limbs)
-    for i in range(len(arm_radius)):
-        if fastest[i] < 1e-2:
+    for i in range(len(arm)):
+        radius, fastest, reach = arm_bounds[i]
+        if fastest < 1e-2:
             continue
-        stopping = fastest[i] * (reaction + fastest[i] / (2.0 * braking)) + constant + arm_radius[i] + half[i]
-        for j in range(len(body_radius)):
+        stopping = fastest * (reaction + fastest / (2.0 * braking)) + constant + reach
+        for j in range(len(body)):
             apart = 0.0
             for k in range(3):
-                apart += (links[0, 0, i, k] + links[1, 0, i, k] - limbs[0, 0, j, k] - limbs[1, 0, j, k]) ** 2
-            approach = max(human_fastest[j], least) * (age + reaction + fastest[i] / braking)
-            far = stopping + approach + body_radius[j] + limb_half[j]  # what is farther cannot slow it down
+                apart += (arm[i, 0, k] + arm[i, 1, k] - body[j, 0, k] - body[j, 1, k]) ** 2
+            approach = max(body_bounds[j, 1], least) * (age + reaction + fastest / braking)
+            far = stopping + approach + body_bounds[j, 2]  # what is farther cannot slow it down
             if apart > 4.0 * far * far:
                 continue
-            s, t = closest_points(links[0, 0, i], links[1, 0, i], limbs[0, 0, j], limbs[1, 0, j])
+            s, t = closest_points(arm[i, 0], arm[i, 1], body[j, 0], body[j, 1])
             distance = robot = human = speed = 0.0
             for k in range(3):
-                gap = limbs[0, 0, j, k] + t * (limbs[1, 0, j, k] - limbs[0, 0, j, k])
-                gap -= links[0, 0, i, k] + s * (links[1, 0, i, k] - links[0, 0, i, k])
-                velocity = ((1.0 - s) * links[0, 1, i, k] + s * links[1, 1, i, k]) / STEP
+                gap = body[j, 0, k] + t * (body[j, 1, k] - body[j, 0, k])
+                gap -= arm[i, 0, k] + s * (arm[i, 1, k] - arm[i, 0, k])
+                velocity = ((1.0 - s) * arm_way[i, 0, k] + s * arm_way[i, 1, k]) / STEP
                 distance += gap * gap
                 speed += velocity * velocity
                 robot += gap * velocity
-                human -= gap * ((1.0 - t) * limbs[0, 1, j, k] + t * limbs[1, 1, j, k]) / STEP
+                human -= gap * ((1.0 - t) * body_way[j, 0, k] + t * body_way[j, 1, k]) / STEP
             distance = max(math.sqrt(distance), 1e-9)
             robot /= distance
             robot += across * math.sqrt(max(speed - robot * robot, 0.0))
             if robot > 1e-6:
                 human = max(human / distance + MEASURED, least)
-                room = distance - arm_radius[i] - body_radius[j] - constant - human * (age + reaction)
+                room = distance - radius - body_bounds[j, 0] - constant - human * (age + reaction)
                 rate = min(rate, allowed_speed(room, human, reaction, braking) / robot)
     return rate
-
-
-@njit(cache=True)
-@no_type_check
-def _bounds(capsules: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(M,) bounds of the speed of any point [m/s], and half of each length [m], of capsules (2, 2, M, 3)."""
-    count = capsules.shape[2]
-    speed, half = np.empty(count), np.empty(count)
-    for i in range(count):
-        first = second = length = 0.0
-        for k in range(3):
-            first += capsules[0, 1, i, k] ** 2
-            second += capsules[1, 1, i, k] ** 2
-            length += (capsules[1, 0, i, k] - capsules[0, 0, i, k]) ** 2
-        speed[i] = math.sqrt(max(first, second)) / STEP
-        half[i] = 0.5 * math.sqrt(length)
-    return speed, half

@@ -9,20 +9,21 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.robot.body import OccupancyOptions, body_capsules
-from kinecast.robot.occupancy import Occupancy, regions
-from kinecast.types import Prediction
+from kinecast.robot.body import body_capsules
+from kinecast.robot.capsules import Capsules, interpolated
+from kinecast.types import Prediction, Status
 
-__all__ = ["STEP", "Motions", "PoseHistory", "likely", "motions_of"]
+__all__ = ["STEP", "PoseHistory", "arms_at_stamp", "is_trusted", "motions_of"]
 
 STEP = 0.1
 """Between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]."""
+STALE_AFTER = 0.1
+"""A prediction older than this says no more than what can be reached [s]."""
 AHEAD = 6.0
 """Motions are carried on so far [s]."""
 SAMPLES = 40
@@ -45,35 +46,34 @@ NEW = 0.3
 """Root mean square difference of joints [m] from which on nothing in the past is alike."""
 
 
-@dataclass(frozen=True, eq=False)
-class Motions:
-    """S possible motions of everybody's K capsules at N instants, `STEP` apart, from now on.
+def is_trusted(prediction: Prediction, now: float) -> bool:
+    """Whether a prediction says more than what can be reached: its status is OK, and it is not too old."""
+    return prediction.status is Status.OK and now - prediction.stamp <= STALE_AFTER + 1e-9
 
-    Attributes:
-        start, end: (S, N, K, 3) of the capsules [m].
-        radius: (K,) [m].
-    """
 
-    start: Float[np.ndarray, "S N K 3"]
-    end: Float[np.ndarray, "S N K 3"]
-    radius: Float[np.ndarray, " K"]
+def arms_at_stamp(prediction: Prediction) -> Float[np.ndarray, "6 3"]:
+    """(6, 3) the arm joints at the newest frame [m]: the mean, carried back in time from its first two steps."""
+    if len(prediction.times) < 2:
+        return prediction.mean[0]
+    first, second = prediction.times[:2]
+    share = min((first - prediction.stamp) / (second - first), 1.0)
+    return prediction.mean[0] - share * (prediction.mean[1] - prediction.mean[0])
 
 
 class PoseHistory:
     """What one person did in the last minute, ten postures a second."""
 
     def __init__(self) -> None:
-        self._stamps: deque[float] = deque(maxlen=KEPT)
+        self._newest = -np.inf
         self._poses: deque[Float[np.ndarray, "6 3"]] = deque(maxlen=KEPT)
 
     def add(self, stamp: float, arms: Float[np.ndarray, "6 3"]) -> None:
         """Keeps a posture, unless a joint is not seen or the last is too recent; a gap begins a new past."""
-        if not np.isfinite(arms).all() or (self._stamps and stamp < self._stamps[-1] + 0.9 * STEP):
+        if not np.isfinite(arms).all() or stamp < self._newest + 0.9 * STEP:
             return
-        if self._stamps and stamp > self._stamps[-1] + 10 * STEP:
-            self._stamps.clear()
+        if stamp > self._newest + 10 * STEP:
             self._poses.clear()
-        self._stamps.append(stamp)
+        self._newest = stamp
         self._poses.append(arms)
 
     def carry_on(
@@ -130,52 +130,31 @@ def _alike(
     return moment, square[np.arange(len(pose)), moment] > 6 * NEW**2
 
 
-def motions_of(
-    predictions: Sequence[Prediction],
-    histories: Sequence[PoseHistory],
-    now: float,
-    options: OccupancyOptions,
-    seed: int,
-) -> Motions:
-    """Possible motions of several people from now on, one prediction and one past each.
+def motions_of(predictions: Sequence[Prediction], histories: Sequence[PoseHistory], now: float) -> Capsules:
+    """Possible motions of several people from now [s] on, one prediction and one past each.
 
-    Args:
-        predictions: to be trusted.
-        histories: of the same people.
-        now: [s].
-        options: thickness of the limbs.
-        seed: of the lots.
+    Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
+
+    Returns:
+        Everybody's capsules in S samples at N instants, `STEP` apart: ends (S, N, K, 3).
     """
-    rng = np.random.default_rng(seed)
-    arms = np.stack(
-        [_arms(prediction, history, now, rng) for prediction, history in zip(predictions, histories, strict=True)],
-        axis=2,
-    )
-    body, whole = body_capsules(ARM_JOINTS, arms, options), (*arms.shape[:2], -1, 3)
-    return Motions(body.start.reshape(whole), body.end.reshape(whole), np.tile(body.radius, len(predictions)))
+    rng = np.random.default_rng(round(1e3 * now))
+    arms = np.stack([_arms(*each, now, rng) for each in zip(predictions, histories, strict=True)], axis=2)
+    body, whole = body_capsules(ARM_JOINTS, arms), (*arms.shape[:2], -1, 3)
+    return Capsules(body.start.reshape(whole), body.end.reshape(whole), np.tile(body.radius, len(predictions)))
 
 
 def _arms(
     prediction: Prediction, history: PoseHistory, now: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "S N 6 3"]:
     """One person's arms from now on: as predicted to the horizon, then as they went on before."""
-    samples = prediction.samples[np.arange(SAMPLES) * len(prediction.samples) // SAMPLES]
+    times, samples = prediction.times, prediction.samples
+    if not is_trusted(prediction, now):
+        samples = np.tile(arms_at_stamp(prediction), (1, len(times), 1, 1))
+    samples = samples[np.arange(SAMPLES) * len(samples) // SAMPLES]
     instants = now + STEP * np.arange(round(AHEAD / STEP) + 1)
-    times = prediction.times
-    before = np.clip(np.searchsorted(times, instants, side="right") - 1, 0, max(len(times) - 2, 0))
     first = instants <= times[-1] + 1e-9
-    after = np.minimum(before + 1, len(times) - 1)
-    span = np.maximum(times[after] - times[before], 1e-9)
-    share = np.clip((instants - times[before]) / span, 0.0, 1.0)[first, None, None]
-    predicted = (1.0 - share) * samples[:, before[first]] + share * samples[:, after[first]]
-    last = samples[:, -1]
-    velocity = (last - samples[:, max(len(times) - 4, 0)]) / max(times[-1] - times[max(len(times) - 4, 0)], 1e-9)
+    predicted = interpolated(instants[first], times, samples.swapaxes(0, 1)).swapaxes(0, 1)
+    last, before = samples[:, -1], max(len(times) - 4, 0)
+    velocity = (last - samples[:, before]) / max(times[-1] - times[before], 1e-9)
     return np.concatenate([predicted, history.carry_on(last, velocity, int((~first).sum()), rng)], axis=1)
-
-
-def likely(motions: Motions, now: float, seconds: float = 4.0, level: float = 0.5) -> Occupancy:
-    """Capsules that hold each limb in a share of the motions, for so long [s]; the last stay."""
-    count = min(round(seconds / STEP) + 1, motions.start.shape[1])
-    rows = regions(motions.start[:, :count], motions.end[:, :count], level)
-    rows[..., 6] += motions.radius
-    return Occupancy(now + STEP * np.arange(count), rows)

@@ -1,4 +1,4 @@
-"""What is known and predicted of everybody in the cell: where each joint was last seen, how fast it moves."""
+"""What is known and predicted of everybody in the cell: where they were last seen, how fast they move, what comes."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.body.skeleton import arms_of
-from kinecast.robot.body import BodyCapsules, OccupancyOptions, body_capsules
+from kinecast.body.skeleton import ARM_JOINTS, arms_of
+from kinecast.geometry.distances import limb_distances
+from kinecast.geometry.shapes import Sphere
+from kinecast.robot.body import MEASURED_BODY, BodySize, body_capsules
 from kinecast.robot.camera import CameraFrame
-from kinecast.robot.motions import Motions, PoseHistory, motions_of
-from kinecast.robot.occupancy import is_trusted, occupied, reach_probabilities, standing
+from kinecast.robot.capsules import Capsules, interpolated
+from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted, motions_of
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["PeopleModel", "Seen"]
+__all__ = ["PeopleModel", "Seen", "occupied", "reach_probabilities"]
 
 SLOPE = 0.14
 """Span of the measurements over which a joint's speed is taken [s]."""
@@ -24,12 +26,17 @@ FORGET = 0.5
 """A person who was not on any shot for this long has left [s]."""
 HARDEST = 10.0
 """No joint gains speed faster [m/s²]: beyond that it is the tracking."""
+FASTEST = np.array([2.0] * 6 + [1.6] * 3)
+"""Approach of the capsules (kinecast.robot.body.PARTS) [m/s], ISO 13855:2010, 6.2.3: upper limbs 2.0 below 0.5 m, a
+body at a walk 1.6."""
 TOUCH = 0.06
 """A limb that comes this near to a cube's middle may take it [m]."""
-MOMENT = 1e-3
+MOST_SAMPLES = 100
+"""Samples that a probability is counted over: more cost time, and its standard error is 0.05 at most."""
+MOMENT = 1e-5
 """Capsules' velocities are those of their joints over so long [s]."""
 ARM_PARTS = ("shoulder", "elbow", "wrist")
-NO_HAND = OccupancyOptions(hand_length=0.0)
+NO_HAND = BodySize(hand_length=0.0)
 """For values that belong to joints and are no places."""
 
 
@@ -59,23 +66,13 @@ NOBODY = Seen(*(np.empty(0) if name in ("radius", "age") else np.empty((0, 3)) f
 
 
 class PeopleModel:
-    """Keeps the last measurements, the newest prediction and the last minute of every person.
+    """Keeps the last measurements, the newest prediction and the last minute of every person."""
 
-    Args:
-        body: radii around the joints.
-    """
-
-    def __init__(self, body: OccupancyOptions | None = None) -> None:
-        self.body = body or OccupancyOptions()
+    def __init__(self) -> None:
         self.newest = -np.inf
         """Stamp of the newest shot [s]."""
         self.predictions: tuple[Prediction, ...] = ()
         self._tracks: dict[str, _Track] = {}
-
-    @property
-    def persons(self) -> tuple[str, ...]:
-        """Who is there, as far as is known."""
-        return tuple(self._tracks)
 
     def see(self, shot: CameraFrame, predictions: Sequence[Prediction] = ()) -> None:
         """Takes in a shot, and what is predicted from it for each person; an older shot is passed over."""
@@ -97,41 +94,29 @@ class PeopleModel:
 
     def seen(self, now: float) -> Seen:
         """Everybody's capsules as last seen."""
-        each = [NOBODY, *(track.seen(now, self.body) for track in self._tracks.values())]
+        each = [NOBODY, *(track.seen(now) for track in self._tracks.values())]
         return Seen(*map(np.concatenate, zip(*each, strict=True)))
 
     def trusted(self, now: float) -> list[Prediction]:
         """Predictions that say more than what can be reached."""
         return [each for each in self.predictions if is_trusted(each, now)]
 
-    def motions(self, now: float) -> Motions | None:
-        """What everybody may do in the next seconds; None where nothing is predicted.
-
-        Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
-        """
-        if not self.predictions:
-            return None
-        shown = [each if is_trusted(each, now) else standing(each) for each in self.predictions]
-        histories = [self._tracks[each.person].history for each in shown]
-        return motions_of(shown, histories, now, self.body, round(1e3 * now))
+    def motions(self, now: float) -> Capsules | None:
+        """What everybody may do in the next seconds (kinecast.robot.motions); None where nothing is predicted."""
+        histories = [self._tracks[each.person].history for each in self.predictions]
+        return motions_of(self.predictions, histories, now) if histories else None
 
     def taken(self, cubes: Mapping[str, Float[np.ndarray, "3"]], now: float) -> dict[str, float]:
         """Probability that somebody reaches for each of the cubes, given where they are [m]; 1 where a hand is."""
-        if not cubes:
-            return {}
-        places = np.array(list(cubes.values()))
+        places = np.array(list(cubes.values())).reshape(-1, 3)
         chance = np.zeros(len(places))
         for track in self._tracks.values():
             for wrist in track.arms[[2, 5]]:
-                near = np.linalg.norm(places - wrist, axis=1) <= self.body.hand + self.body.hand_length + TOUCH
+                near = np.linalg.norm(places - wrist, axis=1) <= MEASURED_BODY.hand + MEASURED_BODY.hand_length + TOUCH
                 chance = np.maximum(chance, near)
         for prediction in self.trusted(now):
-            chance = np.maximum(chance, reach_probabilities(prediction, places, TOUCH, self.body))
+            chance = np.maximum(chance, reach_probabilities(prediction, places))
         return dict(zip(cubes, chance.tolist(), strict=True))
-
-    def occupancy(self, now: float, at: float) -> Float[np.ndarray, "K 7"]:
-        """Space that may be filled at a moment ahead, for pictures: start, end and radius of capsules [m]."""
-        return occupied(self.predictions, now, at, self.body)
 
 
 class _Track:
@@ -139,12 +124,10 @@ class _Track:
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self.joints = joints
-        self.stamp = -np.inf
         self.history = PoseHistory()
         self._last = np.full((len(joints), 3), np.nan)
-        self._seen_at = np.full(len(joints), -np.inf)
-        self._recent: deque[tuple[float, Float[np.ndarray, "J 3"]]] = deque(maxlen=64)
-        self._motion = self._velocities()
+        self._seen_at = np.full((len(joints), 3), -np.inf)
+        self._recent: deque[SkeletonFrame] = deque(maxlen=64)
 
     @property
     def arms(self) -> Float[np.ndarray, "6 3"]:
@@ -156,12 +139,21 @@ class _Track:
         self.history.add(frame.stamp, arms_of(frame))
         self._last[frame.valid] = frame.positions[frame.valid]
         self._seen_at[frame.valid] = frame.stamp
-        self._recent.append((frame.stamp, frame.positions))
-        while frame.stamp - self._recent[0][0] > SLOPE:
+        self._recent.append(frame)
+        while frame.stamp - self._recent[0].stamp > SLOPE:
             self._recent.popleft()
-        self._motion = self._velocities()
+        velocity, acceleration, self._lag = self._rates()
+        self._capsules = body_capsules(self.joints, self._last)
+        self._velocity, self._acceleration = self._of_capsules(velocity), self._of_capsules(acceleration)
+        first = body_capsules(self.joints, self._seen_at, NO_HAND)
+        self._oldest = np.minimum(first.start[:, 0], first.end[:, 0])
 
-    def _velocities(self) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3"], float]:
+    def _of_capsules(self, rate: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "2 K 3"]:
+        """Rates of starts and ends, whatever joints they hang on: by the capsules of joints a moment later."""
+        moved = body_capsules(self.joints, self._last + MOMENT * rate)
+        return (np.stack(moved[:2]) - np.stack(self._capsules[:2])) / MOMENT
+
+    def _rates(self) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3"], float]:
         """Velocity (J, 3) [m/s] and acceleration (J, 3) [m/s²] of each joint, and how long ago the velocity was [s].
 
         Of the straight line and of the parabola through the last measurements; NaN with fewer than three, and four.
@@ -170,13 +162,12 @@ class _Track:
         unknown = np.full_like(self._last, np.nan)
         if len(self._recent) < 3:
             return unknown, unknown, 0.0
-        stamps = np.array([stamp for stamp, _ in self._recent])
-        places = np.array([positions for _, positions in self._recent])
+        stamps = np.array([frame.stamp for frame in self._recent])
+        places = np.array([frame.positions for frame in self._recent])
         lever = stamps - stamps.mean()
         slope: Float[np.ndarray, "J 3"] = np.einsum("n,njk->jk", lever, places) / (lever @ lever)
-        bend = lever**2 - np.mean(lever**2)
-        bend -= lever * (bend @ lever) / (lever @ lever)
-        curve = unknown if len(stamps) < 4 else 2.0 * np.einsum("n,njk->jk", bend, places) / (bend @ bend)
+        bend = np.linalg.pinv(np.vander(lever, 3))[0]
+        curve = unknown if len(stamps) < 4 else 2.0 * np.einsum("n,njk->jk", bend, places)
         size = np.linalg.norm(curve, axis=1, keepdims=True)
         curve = curve * np.minimum(1.0, HARDEST / np.maximum(size, 1e-9))
         shoulders = [row for row, name in enumerate(self.joints) if name.endswith("shoulder")]
@@ -186,17 +177,47 @@ class _Track:
             values[lost] = values[shoulders].mean(axis=0)
         return slope, curve, float(stamps[-1] - stamps.mean())
 
-    def seen(self, now: float, body: OccupancyOptions) -> Seen:
-        velocity, acceleration, lag = self._motion
-        capsules = body_capsules(self.joints, self._last, body)
+    def seen(self, now: float) -> Seen:
+        since = self._lag + now - self.stamp
+        later = self._velocity + since * self._acceleration
+        return Seen._make([*self._capsules, *self._velocity, *later, now - self._oldest])
 
-        def rate(velocity: Float[np.ndarray, "J 3"]) -> tuple[np.ndarray, np.ndarray]:
-            """Of starts and ends, whatever joints they hang on: by the capsules of joints a moment later."""
-            moved: BodyCapsules = body_capsules(self.joints, self._last + MOMENT * velocity, body)
-            return (moved.start - capsules.start) / MOMENT, (moved.end - capsules.end) / MOMENT
 
-        since = now - self.stamp
-        ages = body_capsules(self.joints, np.repeat((now - self._seen_at)[:, None], 3, axis=1), NO_HAND)
-        age = np.maximum(ages.start[:, 0], ages.end[:, 0])
-        later = velocity + (lag + since) * acceleration
-        return Seen(capsules.start, capsules.end, capsules.radius, *rate(velocity), *rate(later), age)
+def occupied(predictions: Sequence[Prediction], now: float, at: float, level: float = 0.95) -> Float[np.ndarray, "K 7"]:
+    """Capsules of several people at a moment ahead, one prediction each: start, end and radius [m].
+
+    Each holds its limb with probability `level` and is grown by the limb's radius. Where what the person can reach at
+    all since the prediction's stamp is smaller, and where the prediction is not to be trusted, that is taken. A limb
+    of which nothing is known is left out.
+
+    Args:
+        predictions: the newest of each person.
+        now: the present time on the predictions' clock [s].
+        at: the moment [s].
+        level: in (0, 1].
+    """
+    found = [np.empty((0, 7))]
+    for prediction in predictions:
+        start, end, radius = body_capsules(ARM_JOINTS, arms_at_stamp(prediction))
+        reached = radius + FASTEST * max(at - prediction.stamp, 0.0)
+        rows = np.column_stack([start, end, reached])
+        if is_trusted(prediction, now) and np.isfinite(prediction.samples).all():
+            [arms] = interpolated(np.array([at]), prediction.times, prediction.samples.swapaxes(0, 1))
+            held = body_capsules(ARM_JOINTS, arms).regions(level)
+            rows = np.where((rows[:, 6] < held[:, 6])[:, None], rows, held)
+        found.append(rows[np.isfinite(rows).all(axis=1)])
+    return np.concatenate(found)
+
+
+def reach_probabilities(prediction: Prediction, points: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, " C"]:
+    """(C,) P(arm or hand comes within `TOUCH` of each point [m] at some step): the share of samples in which one does.
+
+    A limb that is NaN may be anywhere, so it does.
+    """
+    samples = prediction.samples[:: max(1, -(-len(prediction.samples) // MOST_SAMPLES))]
+    body, thick = body_capsules(ARM_JOINTS, samples), MEASURED_BODY.radii[:6]
+    ends = np.concatenate([body.start[..., :6, :], body.end[..., :6, :]], axis=-2)
+    axes, most = np.arange(12).reshape(2, 6).T, float(thick.max()) + 1e-6
+    balls = (np.tile(Sphere(point, TOUCH).row, (samples.shape[1], 1, 1)) for point in points)
+    touched = (~(limb_distances(ball, ends, axes, most) > thick) for ball in balls)
+    return np.array([each.any(axis=(1, 2)).mean() for each in touched])

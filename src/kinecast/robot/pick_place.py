@@ -1,7 +1,8 @@
-"""One cube's way from where it stands to its place, step by step."""
+"""Cubes to be moved: their order, who takes them, and one cube's way to its place, step by step."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
@@ -12,7 +13,7 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["GraspConfigurations", "Step", "nearest", "postures", "straight"]
+__all__ = ["GraspConfigurations", "Step", "TaskSequence", "nearest", "postures", "straight"]
 
 VERTICAL = 0.5
 """Greatest speed of the straight ways down and up [m/s]."""
@@ -21,6 +22,12 @@ DWELL = 0.25
 WAYPOINTS = 9
 CONTINUOUS = 0.8
 """Between two waypoints of a straight line no angle changes by more than this, or the arm would flip over [rad]."""
+ELBOW_ABOVE = 0.1
+"""The elbow stays this much higher than the tool [m]: over the table, not beside it."""
+TAKEN = 0.5
+"""Probability from which on a cube is the person's, at once."""
+FREE, AFTER = 0.2, 0.5
+"""Probability below which it may be the arm's again, once it has stayed below for so long [s]."""
 
 
 class Step(Enum):
@@ -53,8 +60,47 @@ class Step(Enum):
         return self in (Step.LOWER, Step.OPEN, Step.RISE)
 
 
-ELBOW_ABOVE = 0.1
-"""The elbow stays this much higher than the tool [m]: over the table, not beside it."""
+class TaskSequence:
+    """The cubes still to be moved, in order.
+
+    Args:
+        order: names of the cubes.
+    """
+
+    def __init__(self, order: tuple[str, ...]) -> None:
+        self.remaining = list(order)
+        self.given_up: list[str] = []
+        self.probabilities = dict.fromkeys(order, 0.0)
+        self._taken = dict.fromkeys(order, False)
+        self._free_from = dict.fromkeys(order, np.inf)
+
+    def update(self, now: float, probabilities: Mapping[str, float]) -> None:
+        """Takes in, per cube, the probability that the person reaches for it.
+
+        Args:
+            now: [s].
+            probabilities: of cubes by name; one that is not named keeps its own.
+        """
+        for name, probability in probabilities.items():
+            self.probabilities[name] = probability
+            if probability >= TAKEN or (self._taken[name] and probability > FREE):
+                self._taken[name], self._free_from[name] = True, np.inf
+            elif self._taken[name]:
+                self._free_from[name] = min(self._free_from[name], now + AFTER)
+                self._taken[name] = now < self._free_from[name]
+
+    def is_taken(self, name: str) -> bool:
+        """Whether the cube is the person's for now."""
+        return self._taken[name]
+
+    def finish(self, name: str) -> None:
+        """The cube is in its place."""
+        self.remaining.remove(name)
+
+    def give_up(self, name: str) -> None:
+        """The cube cannot be had."""
+        self.remaining.remove(name)
+        self.given_up.append(name)
 
 
 def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.0) -> Float[np.ndarray, "B 6"]:
@@ -68,19 +114,18 @@ def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.
     Returns:
         (B, 6) [rad]; none where the place is out of reach.
     """
-    kept = []
+    kept = [np.empty((0, 6))]
     for quarter in range(4):
         T = T_world_tool.copy()
         T[:3, :3] = rotation_z(quarter * np.pi / 2) @ T[:3, :3]
-        for q in arm.inverse_kinematics(T):
-            elbow = arm.capsules(q[None]).start[0, LINKS.index("elbow"), 2]
-            lower = T.copy()
-            lower[2, 3] -= below
-            if elbow > T[2, 3] + ELBOW_ABOVE and (
-                not below or _change(arm.inverse_kinematics(lower), q).min() < CONTINUOUS
-            ):
-                kept.append(q)
-    return np.array(kept).reshape(-1, 6)
+        rows = arm.inverse_kinematics(T)
+        rows = rows[arm.capsules(rows).start[:, LINKS.index("elbow"), 2] > T[2, 3] + ELBOW_ABOVE]
+        if below:
+            T[2, 3] -= below
+            lower = arm.inverse_kinematics(T)
+            rows = rows[[_change(lower, q).min(initial=np.inf) < CONTINUOUS for q in rows]]
+        kept.append(rows)
+    return np.concatenate(kept)
 
 
 def nearest(
@@ -95,12 +140,9 @@ def nearest(
     return first
 
 
-def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " C"]:
-    """Largest change of an angle from q to each row, full turns aside; inf where there is no row."""
-    if len(rows) == 0:
-        return np.array([np.inf])
-    apart = (rows - q + np.pi) % (2 * np.pi) - np.pi
-    largest: Float[np.ndarray, " C"] = np.abs(apart).max(axis=1)
+def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " B"]:
+    """Largest change of an angle from q to each row, full turns aside."""
+    largest: Float[np.ndarray, " B"] = np.abs((rows - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1, initial=0.0)
     return largest
 
 
@@ -116,17 +158,15 @@ def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], st
     Returns:
         The path; None where the arm cannot follow the line without turning over.
     """
-    T = arm.forward_kinematics(q)
-    way = to - T[:3, 3]
-    share = minimum_jerk(WAYPOINTS)  # its peak speed is 15/8 of its mean
+    T = np.tile(arm.forward_kinematics(q), (WAYPOINTS, 1, 1))
+    way = to - T[0, :3, 3]
+    T[:, :3, 3] += minimum_jerk(WAYPOINTS)[:, None] * way  # its peak speed is 15/8 of its mean
     duration = max(1.875 * float(np.linalg.norm(way)) / VERTICAL, 0.1)
     rows = [np.asarray(q, dtype=np.float64)]
-    for s in share[1:]:
-        place = T.copy()
-        place[:3, 3] += s * way
+    for place in T[1:]:
         choices = arm.inverse_kinematics(place)
         change = _change(choices, rows[-1])
-        if change.min() > CONTINUOUS:
+        if change.min(initial=np.inf) > CONTINUOUS:
             return None
         apart = choices[int(np.argmin(change))] - rows[-1]
         rows.append(rows[-1] + (apart + np.pi) % (2 * np.pi) - np.pi)
@@ -151,11 +191,8 @@ class GraspConfigurations:
 
     def usual(self, point: Float[np.ndarray, "3"], speed: float) -> float:
         """Time from rest to above a point, with nobody there, at a speed of the joints [rad/s]."""
-        rows = self._above[tuple(point)]
-        if not len(rows) or not len(self._resting):
-            return 0.0
-        way = np.abs(nearest(rows, self._resting[0], self._range, 1)[0] - self._resting[0]).max()
-        return 1.875 * float(way) / speed
+        way = [self.above(point, rest)[:1] - rest for rest in self._resting[:1]]
+        return 1.875 * float(np.abs(way).max(initial=0.0)) / speed
 
     def above(self, point: Float[np.ndarray, "3"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "G 6"]:
         """Configurations above a cube or place from which the way down is straight, the nearest to q [rad] first."""

@@ -6,25 +6,30 @@ People are no obstacles (docs/decisions/0028): a way may bend where they would s
 from __future__ import annotations
 
 import math
-import time
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
+from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
 from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
-from kinecast.robot.occupancy import Occupancy
 from kinecast.robot.pick_place import nearest, postures
-from kinecast.robot.seeding import evenly, searched
-from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["SPEED", "NoPlan", "Plan", "Planner"]
+try:
+    from ompl import base as ob
+    from ompl import geometric as og
+    from ompl import util as ou
+except ImportError as error:  # pragma: no cover - the tests install it
+    raise MissingExtraError("the robot", "robot") from error
+
+__all__ = ["SPEED", "NoPlan", "Planner", "searched"]
 
 SPEED, ACCELERATION, JERK = 1.57, 4.0, 75.0
 """Greatest of an angle [rad/s, rad/s^2, rad/s^3]: half of the speed that the arm can do, as beside people nothing is
@@ -43,25 +48,15 @@ SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)
 """Least distances from the scene that the descent keeps, in turn [m]."""
 SEARCH_MARGINS = (0.003, 0.001)
 """Kept by searched paths [m], in turn: what follows them cuts corners."""
+SEARCH_STEP = 0.07
+"""Way over all angles between two looks at an edge [rad], 0.06 m at full reach; plans are checked finely again."""
+SHORTCUTS = 60
+"""Tries to shorten a path that was found."""
 DRAWN_IN = (0.3, 0.3)
 """Distance from the arm's axis and height of a hand that is drawn in [m]."""
 ROOM, ROOM_WORTH = 0.1, 2.0
 """So much room around a goal [m], from the scene and from the arm itself, is worth a later arrival [s/m]."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A motion that was checked.
-
-    Attributes:
-        trajectory: from the start to one of the goals.
-        goal: index of the goal it leads to.
-        solved_by: `chomp`, `chomp from rrt` or `rrt`.
-    """
-
-    trajectory: Trajectory
-    goal: int = 0
-    solved_by: str = "chomp"
+_ONE_SEARCH_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -70,9 +65,11 @@ class NoPlan:
 
     Attributes:
         reason: in words.
+        crashed: whether the planner failed rather than found nothing.
     """
 
     reason: str
+    crashed: bool = False
 
 
 class Planner:
@@ -91,85 +88,56 @@ class Planner:
         self._chomp = Chomp(arm, self.checker.scene.rows(np.zeros(1))[0])
 
     def plan(
-        self,
-        q: Float[np.ndarray, "6"],
-        goals: Float[np.ndarray, "G 6"],
-        start_time: float,
-        seconds: float = math.inf,
-    ) -> Plan | NoPlan:
+        self, q: Float[np.ndarray, "6"], goals: Float[np.ndarray, "G 6"], start_time: float
+    ) -> Trajectory | NoPlan:
         """A motion to whichever goal is reached soonest and free, with room around it.
 
         Args:
             q: (6,) where the arm rests at the start time [rad].
             goals: (G, 6) [rad], any of them will do.
             start_time: when the motion starts [s].
-            seconds: after which nothing new is begun; without an end the plan depends on the question alone.
 
         Returns:
-            A plan that was checked, or why there is none.
+            A motion that was checked, from rest to rest, or why there is none.
         """
-        end = time.perf_counter() + seconds
         if not np.isfinite(q).all():
             return NoPlan("the arm's state is not known")
         if self.checker.touched(q):
             return NoPlan("the arm touches the scene or itself")
         if len(goals) == 0 or not np.isfinite(goals).all():
             return NoPlan("the goal is out of reach")
-        order = self._usable(q, goals)
-        if not len(order):
+        goals = self._usable(q, goals)
+        if not len(goals):
             return NoPlan("the goal is blocked by the scene or the arm itself")
-        blocked = ""
-        for k in order[:STRAIGHT_GOALS]:
-            if blocked and time.perf_counter() > end:
-                break
-            found = self._pushed(np.stack([q, goals[k]]), start_time, end)
+        for goal in goals[:STRAIGHT_GOALS]:
+            found = self._pushed(np.stack([q, goal]), start_time)
             if isinstance(found, Trajectory):
-                return Plan(found, int(k))
-            blocked = found
+                return found
         for attempt in range(self.searches):
-            left = end - time.perf_counter()
-            if left <= 0:
-                return NoPlan(f"{blocked} is in the way; no way around it found in time")
             margin = SEARCH_MARGINS[attempt % len(SEARCH_MARGINS)]
-            # Wide ways first; half of the time is kept for narrow ones.
-            corners = searched(self.checker, q, goals[order], margin, 0.5 * left, self.iterations, attempt)
+            corners = searched(self.checker, q, goals, margin, self.iterations, attempt)
             if corners is None:
                 continue
-            k = order[np.abs(goals[order] - corners[-1]).max(axis=1).argmin()]
-            for name, way in (("chomp from rrt", self._pushed), ("rrt", self._legs)):
-                found = way(corners, start_time, end)
+            for way in (self._pushed, self._legs):
+                found = way(corners, start_time)
                 if isinstance(found, Trajectory):
-                    return Plan(found, int(k), name)
-                blocked = found
-        return NoPlan(f"{blocked} is in the way; no way around it")
+                    return found
+        return NoPlan(f"{found} is in the way; no way around it")
 
-    def bent(
-        self,
-        plan: Plan,
-        q: Float[np.ndarray, "6"],
-        goals: Float[np.ndarray, "G 6"],
-        people: Occupancy,
-        start_time: float,
-        separation: SeparationOptions,
-    ) -> Iterator[Plan]:
+    def bent(self, trajectory: Trajectory, people: People) -> Iterator[Trajectory]:
         """Ways to where a plan leads that bend where speed would be lost beside people: from its own side, and inside.
 
         Args:
-            plan: with nobody there.
-            q: (6,) where the arm rests at the start time [rad].
-            goals: (G, 6) of the plan [rad].
+            trajectory: the plan with nobody there.
             people: where they may be; they are no obstacles, they cost time.
-            start_time: [s].
-            separation: of monitoring.
         """
-        goal = goals[plan.goal]
+        q, goal, start_time = trajectory.q[0], trajectory.q[-1], float(trajectory.times[0])
         for corners in (np.stack([q, goal]), *self._inside(q, goal)):
             path, times = _along(corners, BENT_WAYPOINTS, start_time)
-            beside = People(people.rows_at(times), separation)
-            path, _, _ = self._chomp.optimise(path, _straight(path), SCENE_MARGINS[0], beside, 25, 40)
-            trajectory = _slow_enough(Trajectory(times, path))
-            if not self.checker.check(trajectory):
-                yield Plan(trajectory, plan.goal)
+            path, _ = self._chomp.optimise(path, times, SCENE_MARGINS[0], people)
+            bent = _slow_enough(Trajectory(times, path))
+            if not self.checker.check(bent):
+                yield bent
 
     def _inside(self, q: Float[np.ndarray, "6"], goal: Float[np.ndarray, "6"]) -> list[Float[np.ndarray, "3 6"]]:
         """Corners of a way past the arm's own foot, the hand drawn in; none where it cannot be."""
@@ -180,31 +148,28 @@ class Planner:
         found = nearest(postures(self.arm, T), 0.5 * (q + goal), self.arm.q_range, 1)
         return [np.stack([q, middle, goal]) for middle in found]
 
-    def _usable(self, q: Float[np.ndarray, "6"], goals: Float[np.ndarray, "G 6"]) -> Int[np.ndarray, " U"]:
+    def _usable(self, q: Float[np.ndarray, "6"], goals: Float[np.ndarray, "G 6"]) -> Float[np.ndarray, "U 6"]:
         """Goals that are free, the best first: soon reached, with room around."""
         clear = np.array([self.checker.clearance(goal) for goal in goals])
         price = [_duration(goal - q) for goal in goals] - ROOM_WORTH * np.minimum(clear, ROOM).sum(axis=1)
         best = np.argsort(price, kind="stable")
-        return best[(clear[best] > 0).all(axis=1)]
+        return goals[best[(clear[best] > 0).all(axis=1)]]
 
-    def _pushed(self, corners: Float[np.ndarray, "M 6"], start_time: float, end: float) -> Trajectory | str:
-        """A checked motion along corners that CHOMP has pushed free, or what was in its way.
-
-        Nothing but the first descent is begun later than the end [s, time.perf_counter].
-        """
+    def _pushed(self, corners: Float[np.ndarray, "M 6"], start_time: float) -> Trajectory | str:
+        """A checked motion along corners that CHOMP has pushed free, or what was in its way."""
         path, times = _along(corners, WAYPOINTS, start_time)
-        straight, blocked = _straight(path), ""
+        blocked = ""
         for margin in SCENE_MARGINS:
-            path, excess, _ = self._chomp.optimise(path, straight, margin)
+            path, excess = self._chomp.optimise(path, times, margin)
             trajectory = _slow_enough(Trajectory(times, path))
             blocked = self.checker.check(trajectory)
             if not blocked:
                 return trajectory
-            if excess <= 0 or time.perf_counter() > end:
+            if excess <= 0:
                 break  # stuck: wider margins would not free it
         return blocked
 
-    def _legs(self, corners: Float[np.ndarray, "M 6"], start_time: float, _end: float) -> Trajectory | str:
+    def _legs(self, corners: Float[np.ndarray, "M 6"], start_time: float) -> Trajectory | str:
         """A checked motion straight from corner to corner, at rest in each, or what was in its way."""
         times, q = [np.array([start_time])], [corners[:1]]
         for start, goal in pairwise(corners):
@@ -214,28 +179,88 @@ class Planner:
         return self.checker.check(trajectory) or trajectory
 
 
+def searched(
+    checker: CollisionChecker,
+    start: Float[np.ndarray, "6"],
+    goals: Float[np.ndarray, "G 6"],
+    margin: float,
+    iterations: int,
+    seed: int = 0,
+) -> Float[np.ndarray, "M 6"] | None:
+    """Corners of a free path from the start to any of the goals, by RRTConnect, shortened; None where none is found.
+
+    It looks half a turn around start and goals, within the range: whole turns more lead nowhere new.
+
+    Args:
+        checker: the arm and its scene.
+        start: (6,) [rad].
+        goals: (G, 6) [rad].
+        margin: kept from the scene and the arm itself [m].
+        iterations: of the search at most, about 0.5 ms each.
+        seed: of the search; the same seed gives the same path.
+    """
+    free = [goal for goal in goals if not checker.touched(goal, margin)]
+    if not free or checker.touched(start, margin):
+        return None
+    left = count(iterations, -1)
+    ends, bounds = np.stack([start, *free]), ob.RealVectorBounds(6)
+    low = np.maximum(ends.min(axis=0) - np.pi, checker.arm.q_range[:, 0])
+    high = np.minimum(ends.max(axis=0) + np.pi, checker.arm.q_range[:, 1])
+    with _ONE_SEARCH_AT_A_TIME:
+        ou.setLogLevel(ou.LOG_NONE)  # what it finds is in what it returns
+        # Generators made from here on follow from this seed, whatever OMPL's error would say.
+        ou.RNG.setSeed(seed + 1)
+        space = ob.RealVectorStateSpace(6)
+        for j in range(6):
+            bounds.setLow(j, float(low[j]))
+            bounds.setHigh(j, float(high[j]))
+        space.setBounds(bounds)
+        setup = og.SimpleSetup(space)
+        information = setup.getSpaceInformation()
+        information.setStateValidityCheckingResolution(SEARCH_STEP / space.getMaximumExtent())
+        setup.setStateValidityChecker(lambda state: not checker.touched(_angles(state), margin))
+        setup.addStartState(_state(space, start))
+        targets = ob.GoalStates(information)
+        for goal in free:
+            targets.addState(_state(space, goal))
+        setup.setGoal(targets)
+        setup.setPlanner(og.RRTConnect(information))
+        setup.solve(ob.PlannerTerminationCondition(lambda: next(left) <= 0))
+        if not setup.haveExactSolutionPath():
+            return None
+        path = setup.getSolutionPath()
+        og.PathSimplifier(information).partialShortcutPath(path, SHORTCUTS)
+        return np.array([_angles(state) for state in path.getStates()])
+
+
+def _angles(state: ob.State) -> Float[np.ndarray, "6"]:
+    return np.array([state[j] for j in range(6)])
+
+
+def _state(space: ob.RealVectorStateSpace, q: Float[np.ndarray, "6"]) -> ob.State:
+    state = space.allocState()
+    for j, angle in enumerate(q):
+        state[j] = float(angle)
+    return state
+
+
 def _along(
-    corners: Float[np.ndarray, "M 6"], count: int, start_time: float
-) -> tuple[Float[np.ndarray, "count 6"], Float[np.ndarray, " count"]]:
+    corners: Float[np.ndarray, "M 6"], waypoints: int, start_time: float
+) -> tuple[Float[np.ndarray, "W 6"], Float[np.ndarray, " W"]]:
     """Waypoints along straight legs, with the speed of least jerk over all of them, and their times [s]."""
-    path = evenly(corners, minimum_jerk(count))
-    return path, start_time + np.linspace(0.0, _duration(np.abs(np.diff(path, axis=0)).sum(axis=0)), count)
-
-
-def _straight(path: Float[np.ndarray, "W 6"]) -> Float[np.ndarray, "W 6"]:
-    """The path of least jerk between the ends of another."""
-    straight: Float[np.ndarray, "W 6"] = path[0] + minimum_jerk(len(path))[:, None] * (path[-1] - path[0])
-    return straight
+    legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    keep = np.concatenate([[True], legs > 0])
+    along = np.concatenate([[0.0], np.cumsum(legs)])[keep]
+    share = minimum_jerk(waypoints) * along[-1]
+    path = np.stack([np.interp(share, along, column) for column in corners[keep].T], axis=1)
+    return path, start_time + np.linspace(0.0, _duration(np.abs(np.diff(path, axis=0)).sum(axis=0)), waypoints)
 
 
 def _duration(way: Float[np.ndarray, "6"]) -> float:
     """Of a motion of least jerk from rest to rest along a way of each angle [rad], within the limits [s]."""
     longest = float(np.abs(way).max())
     return max(
-        1.875 * longest / SPEED,
-        float(np.sqrt(5.7735 * longest / ACCELERATION)),
-        float(np.cbrt(60.0 * longest / JERK)),
-        SHORTEST,
+        1.875 * longest / SPEED, (5.7735 * longest / ACCELERATION) ** 0.5, (60 * longest / JERK) ** (1 / 3), SHORTEST
     )
 
 

@@ -19,8 +19,7 @@ from jaxtyping import Float
 from numba import njit
 
 from kinecast.errors import OptionError
-from kinecast.robot.body import BodyCapsules
-from kinecast.robot.ur5 import LinkCapsules
+from kinecast.robot.capsules import Capsules
 
 __all__ = ["Moving", "Separation", "SeparationOptions", "allowed_speed", "closest_points", "moving", "separation"]
 
@@ -85,7 +84,7 @@ class Separation:
     scale: float = 1.0
 
 
-def moving(capsules: LinkCapsules | BodyCapsules, seconds: float) -> Moving:
+def moving(capsules: Capsules, seconds: float) -> Moving:
     """The first of two sets of capsules (2, K), as fast as it becomes the second in so long [s]."""
     (start, later), (end, end_later) = capsules.start, capsules.end
     return start, end, capsules.radius, (later - start) / seconds, (end_later - end) / seconds

@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import OptionError
-from kinecast.robot.async_planner import DeferredPlanner, Solve
-from kinecast.robot.body import TRUE_BODY, OccupancyOptions, body_capsules
+from kinecast.robot.async_planner import AsyncPlanner, Solve
+from kinecast.robot.body import TRUE_BODY, body_capsules
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
+from kinecast.robot.people import occupied
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
 from kinecast.robot.separation import Moving, Separation, SeparationOptions, moving, separation
@@ -96,7 +97,7 @@ class Simulation:
         predict: the predictor.
         camera: what the arm sees of them.
         cell: what is to be done.
-        body: radii of the people's limbs.
+        level: probability with which the space shown as occupied holds each limb.
         solve: the planner; the arm's own by default.
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
@@ -109,21 +110,21 @@ class Simulation:
         predict: Predict,
         camera: Camera | None = None,
         cell: Cell | None = None,
-        body: OccupancyOptions | None = None,
+        level: float = 0.95,
         solve: Solve | None = None,
         dt: float = 0.008,
         limit: float = 120.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.arm, self.cell = UR5(), cell or Cell()
-        self.people, self.predict, self.limit = people, predict, limit
+        self.people, self.predict, self.limit, self.level = people, predict, limit, level
         self.camera = camera or Camera(delay=self.cell.delay)
         q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
         chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
-        self.planner = DeferredPlanner(solve or chooser.choose, clock=clock)
-        self.supervisor = Supervisor(self.arm, self.cell, self.planner, q, dt, body)
+        self.planner = AsyncPlanner(solve or chooser.choose, clock=clock)
+        self.supervisor = Supervisor(self.arm, self.cell, self.planner, q, dt)
         self.episode = Episode()
 
     def run(self) -> Episode:
@@ -210,7 +211,7 @@ class Simulation:
             people=tuple((person.joints, person.at(now)) for person in self.people),
             cubes={name: place.copy() for name, place in self.driver.cubes.items()},
             region=region,
-            tube=people.occupancy(now, now + 0.25),
-            way=np.stack([self.arm.forward_kinematics(q)[:3, 3] for q in ahead]),
+            tube=occupied(people.predictions, now, now + 0.25, self.level),
+            way=self.arm.forward_kinematics(ahead)[:, :3, 3],
             decision=command.decision,
         )

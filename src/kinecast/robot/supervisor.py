@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.async_planner import Answer, AsyncPlanner
-from kinecast.robot.body import OccupancyOptions
+from kinecast.robot.async_planner import AsyncPlanner
 from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Request, options_for
@@ -26,10 +25,10 @@ from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.motions import STEP
 from kinecast.robot.people import PeopleModel
-from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, straight
+from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, TaskSequence, straight
+from kinecast.robot.planner import NoPlan
 from kinecast.robot.separation import Separation
 from kinecast.robot.speed_limit import MOMENT, LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
-from kinecast.robot.task_sequence import TaskSequence
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 from kinecast.robot.wording import reason_of, state_of
@@ -76,20 +75,11 @@ class Supervisor:
         planner: where plans are asked for.
         q: (6,) where the arm stands [rad].
         dt: of the control steps [s].
-        body: radii of the people's limbs.
     """
 
-    def __init__(
-        self,
-        arm: UR5,
-        cell: Cell,
-        planner: AsyncPlanner,
-        q: Float[np.ndarray, "6"],
-        dt: float,
-        body: OccupancyOptions | None = None,
-    ) -> None:
+    def __init__(self, arm: UR5, cell: Cell, planner: AsyncPlanner, q: Float[np.ndarray, "6"], dt: float) -> None:
         self.arm, self.cell, self.planner, self.executor = arm, cell, planner, Executor(arm, dt, q)
-        self.people = PeopleModel(body)
+        self.people = PeopleModel()
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
         self.target: str | None = None
@@ -296,28 +286,28 @@ class Supervisor:
 
     def _take_answer(self, now: float) -> None:
         """Looks whether there is one; follows what it says as soon as the arm stands."""
-        answer = self.planner.answer(now)
-        if answer is not None:
-            self._hear(answer, now)
+        asked, answer = self.planner.pending, self.planner.answer(now)
+        if asked is not None and answer is not None:
+            self._hear(asked, answer, now)
         if self._next is None or not self.executor.at_rest:
             return
         choice = self._next
         assert choice.plan is not None  # as it was looked at before it was kept
-        if np.abs(self.executor.q - choice.plan.trajectory.q[0]).max() < NEAR_ENOUGH:
+        if np.abs(self.executor.q - choice.plan.q[0]).max() < NEAR_ENOUGH:
             self._choice, self._foretold = choice, (now - choice.wait, choice.foretold)
-            self._follow(choice.plan.trajectory)
+            self._follow(choice.plan)
         else:  # it was held on the way and came to rest elsewhere
             self._stand(self.step)
             self._ask("path", now)
 
-    def _hear(self, answer: Answer, now: float) -> None:
+    def _hear(self, asked: Request, answer: Choice | NoPlan, now: float) -> None:
         """Takes in an answer; one to the step before comes too late."""
-        if answer.choice is not None:
-            if answer.choice.option.step is self.step:
+        if isinstance(answer, Choice):
+            if answer.option.step is self.step:
                 self._failures, self._trouble = 0, ""
-                if answer.choice.plan is not None:
-                    self._take_up(answer.choice)
-        elif answer.request.why == "better":
+                if answer.plan is not None:
+                    self._take_up(answer)
+        elif asked.why == "better":
             self._asked = now + RETRY
         elif answer.crashed:
             self._trouble, self._not_before = f"No path: {answer.reason}.", now + RETRY

@@ -49,10 +49,8 @@ class Trajectory:
     def __post_init__(self) -> None:
         if len(self.times) < 2 or len(self.q) != len(self.times):
             raise OptionError(f"{len(self.q)} waypoints for {len(self.times)} times: at least two, one for each")
-        if not (np.isfinite(self.times).all() and np.isfinite(self.q).all()):
-            raise OptionError("a trajectory must be finite")
-        if not np.all(np.diff(self.times) > 0):
-            raise OptionError(f"a trajectory's times must increase, found {self.times.tolist()} s")
+        if not (np.all(np.diff(self.times) > 0) and np.isfinite(self.q).all()):
+            raise OptionError(f"a trajectory must be finite, and its times must increase: {self.times.tolist()} s")
 
     @property
     def duration(self) -> float:
@@ -67,32 +65,23 @@ class Trajectory:
 
     def at(self, t: float | Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "*N 6"], Float[np.ndarray, "*N 6"]]:
         """Angles [rad] and speeds [rad/s] at time t [s]; at rest before its start and after its end."""
-        q, qd = self._evaluate(t, 2)
+        q, qd = self.derivatives(t, 1)
         return q, qd
 
-    def derivatives(self, t: float | Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Angles, speeds, accelerations and jerks (…, 6) at t [s]; at rest before its start and after its end."""
-        q, qd, qdd, qddd = self._evaluate(t, 4)
-        return q, qd, qdd, qddd
-
-    def _evaluate(self, t: float | Float[np.ndarray, " N"], count: int) -> list[np.ndarray]:
+    def derivatives(self, t: float | Float[np.ndarray, " N"], order: int = 3) -> list[Float[np.ndarray, "*N 6"]]:
+        """Angles (…, 6) at t [s], then speeds, accelerations and jerks up to an order; at rest before and after."""
         since = np.asarray(t, dtype=np.float64) - self.times[0]
         within = np.clip(since, 0.0, self.duration)
         moving = (since == within)[..., None]
-        q, *rates = (spline(within) for spline in self._splines[:count])
+        q, *rates = (spline(within) for spline in self._splines[: order + 1])
         return [q, *(np.where(moving, rate, 0.0) for rate in rates)]
 
     def stretched(self, factor: float) -> Trajectory:
         """The same path in `factor` times the time, from the same start time."""
         return Trajectory(self.times[0] + factor * (self.times - self.times[0]), self.q)
 
-    def peaks(self, count: int = 200) -> Float[np.ndarray, "3 6"]:
-        """(3, 6) greatest speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3] of each angle, at instants."""
-        rates = np.stack(self.derivatives(np.linspace(self.times[0], self.times[-1], count))[1:])
-        greatest: Float[np.ndarray, "3 6"] = np.abs(rates).max(axis=1)
-        return greatest
-
     def excess(self, limits: Float[np.ndarray, "3 *D"], count: int = 200) -> float:
         """How many times as long it would take just within limits of speed, acceleration and jerk; below 1 within."""
-        used = self.peaks(count) / np.reshape(limits, (3, -1))
-        return float((used.max(axis=1) ** (1.0 / np.array([1, 2, 3]))).max())
+        rates = np.abs(self.derivatives(np.linspace(self.times[0], self.times[-1], count))[1:])
+        used = (rates.max(axis=1) / np.reshape(limits, (3, -1))).max(axis=1)
+        return float((used ** (1.0 / np.array([1, 2, 3]))).max())

@@ -1,22 +1,22 @@
 """A UR5 with a gripper: kinematics, capsules and limits, read from `data/ur5.urdf` by pinocchio.
 
-Everything is in the controller's base frame.
+Everything is in the controller's base frame. Three parallel axes (2, 3, 4) give inverse kinematics a closed form: the
+place of wrist 2 gives q1, the flange's height along those axes q5, its direction q6, and what is left is a triangle in
+the plane of upper arm and forearm. After K. P. Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/
+UR-10 Arms" (Georgia Institute of Technology, 2013).
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from importlib.resources import files
-from typing import no_type_check
+from itertools import product
 
 import numpy as np
-from jaxtyping import Float
-from numba import njit
+from jaxtyping import Float, Int
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.transforms import inverse
-from kinecast.robot.inverse_kinematics import branches
+from kinecast.robot.capsules import Capsules
 
 try:
     import coal
@@ -24,7 +24,7 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["LINKS", "UR5", "LinkCapsules", "fixed_places"]
+__all__ = ["LINKS", "UR5", "fixed_places"]
 
 LINKS = (
     "shoulder", "upper_arm", "elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "palm", "left_finger", "right_finger",
@@ -39,19 +39,14 @@ STOP_JERK = 625.0
 """[rad/s^3] while it brakes: full deceleration within two of these steps. The manufacturer's own stops are harder: 3.19
 rad/s to rest in 0.244 s on average, fully stretched and loaded (base; UR5/CB3 user manual 3.4.5, appendix A.1)."""
 
-
-@dataclass(frozen=True)
-class LinkCapsules:
-    """The links as capsules.
-
-    Attributes:
-        start, end: (N, L, 3) ends of the axes [m].
-        radius: (L,) [m].
-    """
-
-    start: Float[np.ndarray, "N L 3"]
-    end: Float[np.ndarray, "N L 3"]
-    radius: Float[np.ndarray, " L"]
+D1, A2, A3, D4, D5, D6 = 0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823
+"""Denavit-Hartenberg lengths [m], as in data/ur5.urdf (a test compares them)."""
+STRAIGHT = 1e-7
+"""|sin q5| under which the wrist counts as straight and q6 as free."""
+ROUND_OFF = 1e-9
+"""How far a cosine may exceed 1: the arm stretched to its end, but for round-off."""
+SHOULDER, WRIST, ELBOW = np.array(list(product((1.0, -1.0), repeat=3))).T
+"""Signs of q1's offset, q5 and q3 in the eight branches."""
 
 
 class UR5:
@@ -62,7 +57,7 @@ class UR5:
         q_range: (6, 2) least and greatest angle [rad].
         max_speed: (6,) [rad/s]; max_acceleration: (6,) [rad/s^2]; max_jerk: (6,) [rad/s^3].
         stop_jerk: (6,) that it may brake with [rad/s^3].
-        joint_origins: (6, 3, 4) each joint's frame in its parent's, as [R t]; it turns about its own z axis.
+        joint_origins: (6, 4, 4) each joint's frame in its parent's; it turns about its own z axis.
         capsule_sites: (2 L, 3) ends of the capsules in their joints' frames [m], all starts first.
         capsule_joint: (L,) joint that moves each capsule.
         capsule_radius: (L,) [m].
@@ -80,7 +75,7 @@ class UR5:
         self.max_acceleration = np.full(6, MAX_ACCELERATION)
         self.max_jerk = np.full(6, MAX_JERK)
         self.stop_jerk = np.full(6, STOP_JERK)
-        self.joint_origins = np.stack([placement.homogeneous[:3] for placement in self.model.jointPlacements[1:]])
+        self.joint_origins = np.stack([placement.homogeneous for placement in self.model.jointPlacements[1:]])
 
         self.geometry = pin.buildGeomFromUrdf(self.model, path, pin.GeometryType.COLLISION)
         fixed, *moving = self.geometry.geometryObjects
@@ -91,26 +86,32 @@ class UR5:
         for each in self.geometry.geometryObjects:
             each.geometry = coal.Capsule(each.geometry.radius, 2.0 * each.geometry.halfLength)
 
-    def forward_kinematics(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
+    def forward_kinematics(self, q: Float[np.ndarray, "*N 6"]) -> Float[np.ndarray, "*N 4 4"]:
         """T_base_tool: the tool's frame lies between the gripper's fingertips, its z axis pointing out of the hand.
 
         Args:
-            q: (6,) [rad].
+            q: (…, 6) [rad].
         """
-        T_base_wrist = np.eye(4)
-        T_base_wrist[:3] = self.frames(q[None])[0, -1]
-        tool: Float[np.ndarray, "4 4"] = T_base_wrist @ self._T_wrist_tool
+        tool: Float[np.ndarray, "*N 4 4"] = self.frames(q)[..., -1, :, :] @ self._T_wrist_tool
         return tool
 
-    def frames(self, q: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 6 3 4"]:
-        """T_base_joint of all joints as [R t] at configurations (N, 6) [rad]."""
-        frames: Float[np.ndarray, "N 6 3 4"] = _joint_frames(np.ascontiguousarray(q, np.float64), self.joint_origins)
+    def frames(self, q: Float[np.ndarray, "*N 6"]) -> Float[np.ndarray, "*N 6 4 4"]:
+        """T_base_joint of all joints at configurations (…, 6) [rad]."""
+        turns = np.zeros((*q.shape, 4, 4))
+        turns[..., 0, 0] = turns[..., 1, 1] = np.cos(q)
+        turns[..., 1, 0] = np.sin(q)
+        turns[..., 0, 1] = -turns[..., 1, 0]
+        turns[..., 2, 2] = turns[..., 3, 3] = 1.0
+        frames: Float[np.ndarray, "*N 6 4 4"] = self.joint_origins @ turns
+        for j in range(1, 6):
+            frames[..., j, :, :] = frames[..., j - 1, :, :] @ frames[..., j, :, :]
         return frames
 
-    def capsules(self, q: Float[np.ndarray, "N 6"]) -> LinkCapsules:
-        """The moving links (`LINKS`) at configurations (N, 6) [rad]."""
-        ends = fixed_places(self.frames(q), self.capsule_sites, np.tile(self.capsule_joint, 2))
-        return LinkCapsules(ends[:, : len(LINKS)], ends[:, len(LINKS) :], self.capsule_radius)
+    def capsules(self, q: Float[np.ndarray, "*N 6"]) -> Capsules:
+        """The moving links (`LINKS`) at configurations: (…, 6) [rad] to ends (…, L, 3)."""
+        ends = fixed_places(self.frames(q), np.tile(self.capsule_joint, 2), self.capsule_sites)
+        start, end = np.split(ends, 2, axis=-2)
+        return Capsules(start, end, self.capsule_radius)
 
     def inverse_kinematics(self, T_base_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
         """Every configuration with angles in [−π, π) that puts the tool there: up to eight branches.
@@ -120,44 +121,42 @@ class UR5:
         Returns:
             (B, 6) [rad]; B = 0 where the place is out of reach.
         """
-        return branches(T_base_tool @ self._T_tool_flange)
+        T = T_base_tool @ self._T_tool_flange
+        R, wrist_2 = T[:3, :3], T[:3, 3] - D6 * T[:3, 2]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            aside = _arccos(D4 / np.hypot(wrist_2[:1], wrist_2[1:2]))
+            q1 = np.arctan2(wrist_2[1], wrist_2[0]) + np.pi / 2 + SHOULDER * aside
+            s1, c1 = np.sin(q1), np.cos(q1)
+            q5 = WRIST * _arccos((T[0, 3] * s1 - T[1, 3] * c1 - D4) / D6)
+            s5, c5 = np.sin(q5), np.cos(q5)
+            axis = np.stack([s1, -c1, 0.0 * s1], axis=1) @ R  # of joints 2 to 4, as the flange sees it
+            q6 = np.where(np.abs(s5) > STRAIGHT, np.arctan2(-axis[:, 1] * np.sign(s5), axis[:, 0] * np.sign(s5)), 0.0)
+            s6, c6 = np.sin(q6), np.cos(q6)
+            x_4, z_4 = np.stack([[c5 * c6, -c5 * s6, -s5], [-s6, -c6, 0.0 * s6]]).swapaxes(1, 2) @ R.T
+            wrist_1 = wrist_2 - D5 * z_4
+            x, y = c1 * wrist_1[:, 0] + s1 * wrist_1[:, 1], wrist_1[:, 2] - D1  # in the plane of the arm
+            q3 = ELBOW * _arccos((x * x + y * y - A2 * A2 - A3 * A3) / (2 * A2 * A3))
+        q2 = np.arctan2(y, x) - np.arctan2(A3 * np.sin(q3), A2 + A3 * np.cos(q3))
+        q4 = np.arctan2(x_4[:, 2], c1 * x_4[:, 0] + s1 * x_4[:, 1]) - q2 - q3
+        found = np.stack([q1, q2, q3, q4, q5, q6], axis=1)
+        return (found[np.isfinite(found).all(axis=1)] + np.pi) % (2 * np.pi) - np.pi
+
+
+def _arccos(cosine: Float[np.ndarray, "*B"]) -> Float[np.ndarray, "*B"]:
+    """NaN where there is none."""
+    return np.asarray(np.arccos(np.where(np.abs(cosine) <= 1 + ROUND_OFF, np.clip(cosine, -1.0, 1.0), np.nan)))
+
+
+def fixed_places(
+    frames: Float[np.ndarray, "*N 6 4 4"], joint: Int[np.ndarray, " M"], sites: Float[np.ndarray, "M 3"]
+) -> Float[np.ndarray, "*N M 3"]:
+    """(…, M, 3) places [m] of points (M, 3) fixed to the links of joints (M,), whose frames are (…, 6, 4, 4)."""
+    T, (x, y, z) = frames[..., joint, :3, :], sites.T[..., None]
+    places: Float[np.ndarray, "*N M 3"] = T[..., 0] * x + T[..., 1] * y + T[..., 2] * z + T[..., 3]
+    return places
 
 
 def _axis(capsule: pin.GeometryObject) -> Float[np.ndarray, "2 3"]:
     """Both ends of a cylinder's axis in its joint's frame."""
     half = capsule.placement.rotation[:, 2] * capsule.geometry.halfLength
     return np.stack([capsule.placement.translation - half, capsule.placement.translation + half])
-
-
-@njit(cache=True)
-@no_type_check
-def _joint_frames(q: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """(N, D, 3, 4) T_base_joint of configurations (N, D) [rad]; origins (D, 3, 4) are the joints' frames at 0 rad."""
-    frames = np.empty((len(q), *origins.shape))
-    for n in range(len(q)):
-        parent = np.eye(4)[:3]
-        for j in range(q.shape[1]):
-            c, s = math.cos(q[n, j]), math.sin(q[n, j])
-            for r in range(3):
-                a, b, d = parent[r, 0], parent[r, 1], parent[r, 2]
-                x = a * origins[j, 0, 0] + b * origins[j, 1, 0] + d * origins[j, 2, 0]
-                y = a * origins[j, 0, 1] + b * origins[j, 1, 1] + d * origins[j, 2, 1]
-                frames[n, j, r, 0] = c * x + s * y
-                frames[n, j, r, 1] = c * y - s * x
-                frames[n, j, r, 2] = a * origins[j, 0, 2] + b * origins[j, 1, 2] + d * origins[j, 2, 2]
-                frames[n, j, r, 3] = a * origins[j, 0, 3] + b * origins[j, 1, 3] + d * origins[j, 2, 3] + parent[r, 3]
-            parent = frames[n, j]
-    return frames
-
-
-@njit(cache=True)
-@no_type_check
-def fixed_places(frames: np.ndarray, sites: np.ndarray, joint: np.ndarray) -> np.ndarray:
-    """(N, M, 3) places [m] of points (M, 3) that are fixed to links whose joints (M,) have frames (N, D, 3, 4)."""
-    places = np.empty((len(frames), len(sites), 3))
-    for n in range(len(frames)):
-        for m in range(len(sites)):
-            for i in range(3):
-                row = frames[n, joint[m], i]
-                places[n, m, i] = row[0] * sites[m, 0] + row[1] * sites[m, 1] + row[2] * sites[m, 2] + row[3]
-    return places

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from kinecast.robot.pick_place import Step
+from kinecast.robot.pick_place import Step, TaskSequence
 from kinecast.robot.speed_limit import Level, LimitReason, SpeedHysteresis
-from kinecast.robot.task_sequence import TaskSequence
 from kinecast.types import Reaction, RobotState
 
 __all__ = ["reason_of", "state_of"]

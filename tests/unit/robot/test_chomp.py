@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kinecast.geometry.shapes import Capsule
+from kinecast.geometry.transforms import apply
 from kinecast.robot.cell import CAMERA
 from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
@@ -29,10 +30,9 @@ def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest
     shapes = [*posts(POST).obstacles, Capsule(*arm.pedestal)]
 
     def cost(q: np.ndarray) -> float:
-        frames = arm.frames(q)[:, chomp._joint]
-        places = np.einsum("npij,pj->npi", frames[..., :3], chomp._sites) + frames[..., 3]
+        places = apply(arm.frames(q)[:, chomp._joint], chomp._sites)
         far = np.array([shape.signed_distance(places) for shape in shapes])
-        far[np.broadcast_to(chomp._first_link[:, None, None] > chomp._link, far.shape)] = np.inf
+        far[np.broadcast_to(~chomp._meets[:, None], far.shape)] = np.inf
         gap = far.min(axis=0) - chomp._radius - 0.005
         price = np.where(gap < 0, 0.025 - gap, np.where(gap < 0.05, 0.5 * (gap - 0.05) ** 2 / 0.05, 0.0))
         return float((0.5 * (price[1:] + price[:-1]) * np.linalg.norm(np.diff(places, axis=0), axis=-1)).sum())
@@ -47,7 +47,7 @@ def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest
 
 
 def test_without_obstacles_nothing_moves(arm: UR5) -> None:
-    path, excess, _ = Chomp(arm, np.empty((0, 17))).optimise(STRAIGHT, STRAIGHT, 0.005)
+    path, excess = Chomp(arm, np.empty((0, 17))).optimise(STRAIGHT, TIMES, 0.005)
     np.testing.assert_allclose(path, STRAIGHT, atol=1e-12)
     assert excess > 0
 
@@ -55,12 +55,11 @@ def test_without_obstacles_nothing_moves(arm: UR5) -> None:
 def test_it_goes_around_keeps_its_ends_and_answers_the_same_again(arm: UR5) -> None:
     checker = CollisionChecker(arm, posts(POST))
     assert checker.check(Trajectory(TIMES, STRAIGHT))
-    path, excess, iterations = among(arm, POST).optimise(STRAIGHT, STRAIGHT, 0.02)
+    path, excess = among(arm, POST).optimise(STRAIGHT, TIMES, 0.02)
     assert excess > 0
-    assert iterations <= 100
     np.testing.assert_array_equal(path[[0, -1]], STRAIGHT[[0, -1]])
     assert not checker.check(Trajectory(TIMES, path))
-    np.testing.assert_array_equal(path, among(arm, POST).optimise(STRAIGHT, STRAIGHT, 0.02)[0])
+    np.testing.assert_array_equal(path, among(arm, POST).optimise(STRAIGHT, TIMES, 0.02)[0])
 
 
 def test_it_knows_when_people_are_beside_it(arm: UR5) -> None:
@@ -70,13 +69,12 @@ def test_it_knows_when_people_are_beside_it(arm: UR5) -> None:
     for here, moves in ((slice(0, 4), False), (slice(36, 40), False), (slice(0, 40), True)):
         capsules = rows.copy()
         capsules[here] = POST
-        people = People(capsules, CAMERA)
-        path, _, _ = among(arm).optimise(STRAIGHT, STRAIGHT, 0.005, people, 25, 40)
+        path, _ = among(arm).optimise(STRAIGHT, TIMES, 0.005, People(TIMES, capsules, CAMERA))
         assert (np.abs(path - STRAIGHT).max() > 0.05) == moves
 
 
 def test_the_price_of_people_is_the_time_lost_and_its_slope_the_derivative() -> None:
-    people = People(np.empty((40, 1, 7)), CAMERA)
+    people = People(TIMES, np.empty((40, 1, 7)), CAMERA)
     distance = np.linspace(-0.2, 1.5, 200)
     price, slope = people.price(distance)
     numeric = (people.price(distance + 1e-6)[0] - people.price(distance - 1e-6)[0]) / 2e-6
@@ -89,12 +87,11 @@ def test_the_price_of_people_is_the_time_lost_and_its_slope_the_derivative() -> 
 def test_angles_stay_within_their_range() -> None:
     tight = UR5()
     tight.q_range = np.stack([STRAIGHT.min(axis=0) - 0.02, STRAIGHT.max(axis=0) + 0.02], axis=1)
-    path, _, _ = among(tight, POST).optimise(STRAIGHT, STRAIGHT, 0.02)
+    path, _ = among(tight, POST).optimise(STRAIGHT, TIMES, 0.02)
     assert (path >= tight.q_range[:, 0] - 1e-12).all()
     assert (path <= tight.q_range[:, 1] + 1e-12).all()
 
 
-def test_where_there_is_no_way_it_says_so_and_stops(arm: UR5) -> None:
-    _, excess, iterations = among(arm, *SEALED).optimise(STRAIGHT, STRAIGHT, 0.005)
+def test_where_there_is_no_way_it_says_so(arm: UR5) -> None:
+    _, excess = among(arm, *SEALED).optimise(STRAIGHT, TIMES, 0.005)
     assert excess < 0
-    assert iterations <= 100

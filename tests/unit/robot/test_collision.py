@@ -95,14 +95,6 @@ def test_a_thin_thing_between_two_waypoints_is_found(arm: UR5) -> None:
     assert CollisionChecker(arm, thin).check(coarse)
 
 
-def test_an_edge_is_looked_at_all_along(arm: UR5) -> None:
-    checker = CollisionChecker(arm, posts(POST))
-    q = sweep().q
-    assert not checker.edge_is_free(q[0], q[-1], 0.0)
-    assert checker.edge_is_free(q[0], q[0], 0.0)
-    assert checker.edge_is_free(q[0], q[2], 0.0)
-
-
 def test_looks_leave_no_gap_wider_than_the_step(checker: CollisionChecker, arm: UR5) -> None:
     q, _ = sweep().at(checker.looks(sweep(), 0.01))
     way = np.linalg.norm(np.diff(arm.capsules(q).end, axis=0), axis=-1)

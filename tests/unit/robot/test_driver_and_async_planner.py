@@ -1,4 +1,4 @@
-"""Drivers, and desks at which plans are asked for."""
+"""The simulated driver, and where plans are asked for."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.robot.async_planner import AsyncPlanner, DeferredPlanner, ThreadPlanner
+from kinecast.robot.async_planner import AsyncPlanner
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Chooser, Option, Request
-from kinecast.robot.pick_place import VERTICAL, Step, nearest, postures, straight
-from kinecast.robot.planner import NoPlan, Plan, Planner
+from kinecast.robot.pick_place import Step, nearest, postures
+from kinecast.robot.planner import NoPlan, Planner
 from kinecast.robot.simulation import SimulatedDriver
 from kinecast.robot.ur5 import UR5
 
@@ -61,50 +61,20 @@ def test_an_impossible_step_is_refused(arm: UR5, cell: Cell) -> None:
         SimulatedDriver(arm, cell, START, 0.0)
 
 
-def test_straight_lines_are_straight_and_keep_the_tool_turned(arm: UR5, cell: Cell) -> None:
-    red = cell.cubes[0]
-    q = nearest(postures(arm, cell.grasp(red.position, cell.hover), cell.hover), START, arm.q_range)[0]
-    down = cell.grasp(red.position)[:3, 3]
-    way = straight(arm, q, down, 5.0)
-    assert way is not None
-    poses = [arm.forward_kinematics(way.at(t)[0]) for t in np.linspace(way.times[0], way.times[-1], 60)]
-    places = np.array([pose[:3, 3] for pose in poses])
-    np.testing.assert_allclose(places[:, :2], np.tile(down[:2], (60, 1)), atol=2e-3)
-    np.testing.assert_allclose(places[-1], down, atol=1e-6)
-    assert all(pose[2, 2] < -0.999 for pose in poses)
-    assert np.abs(np.diff(places[:, 2])).max() / (way.duration / 59) < 1.1 * VERTICAL
-    assert straight(arm, q, np.array([2.0, 0.0, 0.0]), 0.0) is None
-
-
-def test_postures_hold_the_tool_there_and_the_nearest_comes_first(arm: UR5, cell: Cell) -> None:
-    T = cell.grasp(cell.cubes[1].position, cell.hover)
-    rows = postures(arm, T, cell.hover)
-    assert len(rows) >= 4
-    for q in rows:
-        np.testing.assert_allclose(arm.forward_kinematics(q)[:3, 3], T[:3, 3], atol=1e-9)
-    ways = np.abs(nearest(rows, START, arm.q_range) - START).max(axis=1)
-    assert np.all(np.diff(ways) >= 0)
-    far = T.copy()
-    far[0, 3] = 3.0
-    assert postures(arm, far).shape == (0, 6)
-
-
 def request(arm: UR5, cell: Cell) -> Request:
     goals = nearest(postures(arm, cell.grasp(cell.cubes[2].position, cell.hover)), START, arm.q_range)
     option = Option(Step.REACH, "blue", goals, cell.cubes[2].position)
     return Request((option,), START, 0.1, 0.1)
 
 
-def test_a_deferred_desk_answers_after_its_latency_and_once(arm: UR5, cell: Cell) -> None:
-    planner = DeferredPlanner(Chooser(Planner(arm, cell.scene), cell).choose, 0.1)
-    assert isinstance(planner, AsyncPlanner)
+def test_a_plan_is_answered_after_its_latency_and_once(arm: UR5, cell: Cell) -> None:
+    planner = AsyncPlanner(Chooser(Planner(arm, cell.scene), cell).choose, 0.1)
     planner.ask(request(arm, cell), 1.0)
     assert planner.pending is not None
     assert planner.answer(1.09) is None
     answer = planner.answer(1.1)
-    assert answer is not None
-    assert answer.choice is not None
-    assert isinstance(answer.choice.plan, Plan)
+    assert isinstance(answer, Choice)
+    assert answer.plan is not None
     assert planner.answer(1.2) is None
     assert planner.pending is None
 
@@ -115,7 +85,7 @@ def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm
         raise ValueError("broken")
 
     for solve, crashed, words in ((broken, True, "broken"), (lambda _: NoPlan("no way"), False, "no way")):
-        planner: DeferredPlanner | ThreadPlanner = ThreadPlanner(solve) if threaded else DeferredPlanner(solve, 0.0)
+        planner = AsyncPlanner(solve, 0.0, threaded)
         planner.ask(request(arm, cell), 0.0)
         answer = None
         for _ in range(6000):
@@ -123,12 +93,10 @@ def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm
             if answer is not None:
                 break
             time.sleep(0.01)
-        assert answer is not None
-        assert answer.choice is None
+        assert isinstance(answer, NoPlan)
         assert answer.crashed is crashed
         assert words in answer.reason
-        if isinstance(planner, ThreadPlanner):
-            planner.close()
+        planner.close()
 
 
 def test_a_thread_does_not_make_the_asker_wait(arm: UR5, cell: Cell) -> None:
@@ -137,7 +105,7 @@ def test_a_thread_does_not_make_the_asker_wait(arm: UR5, cell: Cell) -> None:
     def slow(_: Request) -> Choice | NoPlan:
         return NoPlan("waited for" if asked_for.wait(60.0) else "never asked for")
 
-    planner = ThreadPlanner(slow)
+    planner = AsyncPlanner(slow, threaded=True)
     planner.ask(request(arm, cell), 0.0)
     assert planner.answer(0.0) is None
     asked_for.set()

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.geometry.shapes import Capsule
-from kinecast.robot.body import OccupancyOptions
+from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Chooser, Option, Request
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime, travel_time
-from kinecast.robot.motions import AHEAD, STEP, Motions, PoseHistory, likely, motions_of
+from kinecast.robot.motions import AHEAD, STEP, PoseHistory, motions_of
 from kinecast.robot.pick_place import GraspConfigurations, Step
 from kinecast.robot.planner import NoPlan, Planner
 from kinecast.robot.ur5 import UR5
@@ -31,8 +30,8 @@ def people(x: float, y: float = 0.0, samples: int = 5) -> Prediction:
     return Prediction(0.0, times, drawn, drawn.mean(axis=0), np.zeros((15, 6, 3, 3)), ("",) * 6, "a", Status.OK)
 
 
-def motions(x: float, y: float = 0.0) -> Motions:
-    return motions_of([people(x, y)], [PoseHistory()], 0.0, OccupancyOptions(), 0)
+def motions(x: float, y: float = 0.0) -> Capsules:
+    return motions_of([people(x, y)], [PoseHistory()], 0.0)
 
 
 def way(arm: UR5) -> np.ndarray:
@@ -72,7 +71,7 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     from kinecast.robot.trajectory import Trajectory
 
     rows, body = way(arm), motions(1.17)
-    foretold = travel_time(arm, rows, body, CELL.separation, age=0.1).mean
+    foretold = travel_time(arm, rows, body, CELL.separation).mean
     executor, dt, steps = Executor(arm, 0.008, rows[0]), 0.008, 0
     trajectory = Trajectory(STEP * np.arange(len(rows)), rows)
     executor.follow(trajectory)
@@ -117,18 +116,10 @@ def test_without_a_past_they_stand_and_what_is_new_returns() -> None:
     assert np.abs(later - ARMS).max() < 0.02
 
 
-def test_likely_capsules_hold_the_people_and_end_with_the_stated_time() -> None:
-    occupancy = likely(motions(1.0), 5.0)
-    assert occupancy.times[0] == 5.0
-    assert occupancy.times[-1] == pytest.approx(9.0)
-    shapes = [Capsule(row[:3], row[3:6], float(row[6])) for row in occupancy.rows_at(np.array([6.0]))[0]]
-    assert min(float(shape.signed_distance(ARMS[2] + np.array([1.0, 0.0, 0.0]))) for shape in shapes) < 0
-
-
 def options(arm: UR5, q: np.ndarray) -> tuple[Option, ...]:
     places = GraspConfigurations(arm, CELL)
     return tuple(
-        Option(Step.REACH, cube.name, places.above(cube.position, q), cube.position, places.usual(cube.position, 1.57))
+        Option(Step.REACH, cube.name, places.above(cube.position, q), cube.position, -places.usual(cube.position, 1.57))
         for cube in CELL.cubes
     )
 
@@ -174,5 +165,3 @@ def test_cells_have_their_constants_and_others_are_refused() -> None:
     assert Cell().separation == camera
     with pytest.raises(OptionError, match="'office' is none of lab, camera, certified"):
         cell_named("office")
-    with pytest.raises(OptionError, match="delay -1"):
-        Cell(delay=-1.0)

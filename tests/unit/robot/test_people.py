@@ -1,18 +1,26 @@
-"""What is known of people from their last measurements."""
+"""What is known of people from their last measurements, and the space that they may fill."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.robot.body import body_capsules
+from kinecast.geometry.shapes import Capsule
+from kinecast.robot.body import MEASURED_BODY, PARTS, TRUE_BODY, body_capsules
 from kinecast.robot.camera import CameraFrame
-from kinecast.robot.people import HARDEST, PeopleModel, Seen
-from kinecast.types import SkeletonFrame
+from kinecast.robot.capsules import interpolated
+from kinecast.robot.motions import is_trusted
+from kinecast.robot.people import FASTEST, HARDEST, TOUCH, PeopleModel, Seen, occupied, reach_probabilities
+from kinecast.types import Prediction, SkeletonFrame, Status
+
+from .conftest import prediction
 
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
-LEFT_FOREARM = 1
+FOREARM, HEAD = PARTS.index("left_forearm"), PARTS.index("head")
+RADII = MEASURED_BODY.radii
 JOINTS = (*ARM_JOINTS, "head", "pelvis")
 POSE = np.concatenate([REST, [[0.05, 0.0, 1.65], [0.0, 0.0, 0.9]]])
 
@@ -28,7 +36,7 @@ def shown(acceleration: float, shots: int = 6, speed: float = 0.3) -> PeopleMode
 
 
 def velocities(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
-    return seen.end_velocity[LEFT_FOREARM], seen.end_velocity_now[LEFT_FOREARM]
+    return seen.end_velocity[FOREARM], seen.end_velocity_now[FOREARM]
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 3.0, -3.0])
@@ -82,11 +90,9 @@ def test_a_lost_wrist_stays_where_it_was_grows_old_and_has_no_speed() -> None:
 def test_who_is_on_no_shot_for_a_while_has_left_but_a_silent_camera_says_nothing() -> None:
     people = PeopleModel()
     people.see(CameraFrame(0.0, (SkeletonFrame(0.0, JOINTS, POSE, "a"),)))
-    assert people.persons == ("a",)
     assert people.seen(10.0).age.min() == pytest.approx(10.0)
     for k in range(1, 20):
         people.see(CameraFrame(k / 30, ()))
-    assert people.persons == ()
     assert len(people.seen(1.0).age) == 0
 
 
@@ -95,4 +101,94 @@ def test_a_person_never_seen_whole_is_named_and_old_shots_are_passed_over() -> N
     people.see(CameraFrame(1.0, (SkeletonFrame(1.0, JOINTS, nowhere, "ghost"),)))
     assert people.unseen() == ["ghost"]
     people.see(CameraFrame(0.5, (SkeletonFrame(0.5, JOINTS, POSE, "late"),)))
-    assert people.persons == ("ghost",)
+    assert people.unseen() == ["ghost"]
+    assert len(people.seen(1.0).age) == 9
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 1.0])
+def test_each_capsule_holds_its_limb_with_the_stated_probability(level: float) -> None:
+    ahead = prediction(spread=0.03)
+    for t in (0, 7, 14):
+        row = occupied([ahead], 0.03, float(ahead.times[t]), level)[FOREARM]
+        capsule = Capsule(row[:3], row[3:6], float(row[6]))
+        # The limb is a capsule of its own radius: its axis must lie that far inside.
+        elbow, wrist = (capsule.signed_distance(ahead.samples[:, t, joint]) for joint in (1, 2))
+        inside = np.maximum(elbow, wrist) <= 1e-9 - MEASURED_BODY.forearm
+        assert level <= inside.mean() <= min(level + 0.1, 1.0)
+
+
+def test_the_region_is_never_larger_than_what_can_be_reached_and_the_whole_body_counts() -> None:
+    at = 0.25
+    wild, usual = (occupied([prediction(spread=spread)], 0.0, at) for spread in (3.0, 0.02))
+    np.testing.assert_allclose(wild[:, 6], RADII + at * FASTEST)
+    assert usual.shape == (len(PARTS), 7)
+    assert (usual[:, 6] < wild[:, 6]).all()
+    np.testing.assert_allclose(usual[HEAD, :3], [-1.2, 0.0, 0.75], atol=2e-2)
+
+
+@pytest.mark.parametrize(
+    "change", [{"status": status} for status in Status if status is not Status.OK] + [{"stamp": -0.2}], ids=str
+)
+def test_what_cannot_be_trusted_counts_as_the_reachable_set(change: dict[str, object]) -> None:
+    doubtful = prediction(spread=0.01, **change)  # type: ignore[arg-type]
+    assert not is_trusted(doubtful, 0.0)
+    rows = occupied([doubtful], 0.0, 0.25)
+    np.testing.assert_allclose(rows[:, 6], RADII + (0.25 - doubtful.stamp) * FASTEST)
+    np.testing.assert_allclose(rows[FOREARM, :3], doubtful.mean[0, 1])
+
+
+def test_what_is_not_finite_is_not_trusted_and_what_is_not_known_left_out() -> None:
+    bad = prediction(spread=0.01)
+    samples, mean = bad.samples.copy(), bad.mean.copy()
+    samples[0, 0, 2], mean[:, 2] = np.nan, np.nan
+    whole = occupied([replace(bad, samples=samples)], 0.0, 0.25)
+    np.testing.assert_allclose(whole[:, 6], RADII + 0.25 * FASTEST)
+    assert occupied([replace(bad, samples=samples, mean=mean)], 0.0, 0.25).shape == (len(PARTS) - 2, 7)
+    assert occupied([], 0.0, 0.25).shape == (0, 7)
+    assert occupied([bad, bad], 0.0, 0.25).shape == (2 * len(PARTS), 7)
+
+
+def test_between_two_times_capsules_move_evenly_and_beyond_them_they_stay() -> None:
+    rows = np.random.default_rng(2).normal(size=(4, 5, 7))
+    found = interpolated(np.array([-5.0, 0.1, 0.15, 9.0]), np.arange(4) / 10, rows)
+    np.testing.assert_allclose(found, [rows[0], rows[1], 0.5 * (rows[1] + rows[2]), rows[3]], atol=1e-12)
+
+
+def test_bodies_are_the_same_one_by_one_and_all_at_once() -> None:
+    samples = prediction().samples[:3]
+    many = body_capsules(ARM_JOINTS, samples)
+    for s, t in ((0, 0), (2, 14)):
+        one = body_capsules(ARM_JOINTS, samples[s, t])
+        np.testing.assert_array_equal(many.start[s, t], one.start)
+        np.testing.assert_array_equal(many.end[s, t], one.end)
+
+
+def two_ways(share: float, samples: int = 100) -> Prediction:
+    """The left wrist goes to x = 0.5 with this probability, and stays at x = 1 otherwise."""
+    arms = np.array([[1.2, -0.2, 0.5], [1.2, -0.25, 0.2], [1.0, -0.2, 0.1]])
+    arms = np.concatenate([arms, arms + np.array([0.0, 2.0, 0.0])])
+    drawn = np.repeat(np.repeat(arms[None, None], samples, axis=0), 15, axis=1)
+    drawn[: round(share * samples), -1, 2, 0] = 0.5
+    times = np.arange(1, 16) / 30
+    return Prediction(0.0, times, drawn, drawn.mean(axis=0), np.zeros((15, 6, 3, 3)), ("",) * 6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.7, 1.0])
+def test_probabilities_are_shares_of_samples(share: float) -> None:
+    cubes = np.array([[0.45, -0.2, 0.05], [0.45, 0.6, 0.05]])
+    np.testing.assert_allclose(reach_probabilities(two_ways(share), cubes), [share, 0.0])
+
+
+def test_a_limb_that_is_not_known_may_be_anywhere() -> None:
+    lost = two_ways(0.0)
+    lost.samples[:10, 3, 2] = np.nan
+    assert reach_probabilities(lost, np.array([[5.0, 5.0, 5.0]]))[0] == pytest.approx(0.1)
+
+
+def test_a_hand_reaches_as_far_as_it_is_long_and_thick() -> None:
+    sure = two_ways(1.0)
+    hands = body_capsules(ARM_JOINTS, sure.samples[0, -1])
+    finger = hands.end[2] + (MEASURED_BODY.hand + TOUCH) * (hands.end[2] - hands.start[2]) / MEASURED_BODY.hand_length
+    for beyond, reached in ((-0.01, 1.0), (0.01, 0.0)):
+        assert reach_probabilities(sure, finger[None] - [[beyond, 0.0, 0.0]])[0] == reached
+    assert TRUE_BODY.hand < MEASURED_BODY.hand

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kinecast.robot import inverse_kinematics
+from kinecast.robot import ur5
 from kinecast.robot.ur5 import LINKS, UR5
 
 D = (0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823)
@@ -57,7 +57,7 @@ def test_limits_are_those_of_the_data_sheet(arm: UR5) -> None:
     assert (arm.max_jerk > 0).all()
 
 
-def test_compiled_capsules_are_where_pinocchio_puts_them(arm: UR5) -> None:
+def test_capsules_are_where_pinocchio_puts_them(arm: UR5) -> None:
     data = arm.model.createData()
     q = np.random.default_rng(1).uniform(-3, 3, (5, 6))
     capsules = arm.capsules(q)
@@ -130,8 +130,7 @@ def test_out_of_reach_there_is_no_branch(arm: UR5, place: list[float]) -> None:
 
 
 def test_the_closed_form_knows_the_same_arm(arm: UR5) -> None:
-    lengths = inverse_kinematics
-    assert (D[0], A[1], A[2]) == (lengths.D1, lengths.A2, lengths.A3)
-    assert D[3:] == (lengths.D4, lengths.D5, lengths.D6)
-    np.testing.assert_allclose(arm.joint_origins[1, :, 3], [0, 0, D[0]])
+    assert (D[0], A[1], A[2]) == (ur5.D1, ur5.A2, ur5.A3)
+    assert D[3:] == (ur5.D4, ur5.D5, ur5.D6)
+    np.testing.assert_allclose(arm.joint_origins[1, :3, 3], [0, 0, D[0]])
     np.testing.assert_allclose(arm.joint_origins[[2, 3], 0, 3], [A[1], A[2]])
