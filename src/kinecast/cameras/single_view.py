@@ -70,6 +70,7 @@ class SingleView:
 
     def __init__(self, camera: PinholeCamera, options: ScaleOptions) -> None:
         self._camera, self._options = camera, options
+        self.stamp = np.inf  # of the last image [s]
         self._states: JointStates | None = None
         self._scale, self._scales = 0.0, 0  # log, and from how many images
         known = STATED_STD if options.body else FLOOR_STD if options.feet_on_floor else UNKNOWN_STD
@@ -77,7 +78,7 @@ class SingleView:
 
     def update(self, stamp: float, person: Landmarks, name: str = "0") -> SkeletonFrame | None:
         """The skeleton at the stamp [s] of an image; None where the person cannot be placed."""
-        camera = self._camera
+        camera, self.stamp = self._camera, stamp
         directions = camera.intrinsics.directions(person.pixels)
         shape = person.shape @ turn_towards(directions[_HIPS].mean(axis=0)).T
         seen = (person.confidence >= self._options.least_confidence)[_ROWS] & np.isfinite(directions[_ROWS]).all(axis=1)
