@@ -24,6 +24,8 @@ WIDE, HIGH, SCENE = 960, 600, 560
 """Of the page; the cell is drawn left of the panel [pixels]."""
 SCALE = 0.5
 """Pixels that are rendered for one of the page, along each side: without a graphics card each takes the processor."""
+SELDOM = "const next = requestAnimationFrame; requestAnimationFrame = draw => setTimeout(() => next(draw), 150);"
+"""Makes pages draw six pictures in a second, not sixty, for the same reason."""
 POLL = 0.2
 """Between two looks [s]."""
 
@@ -57,8 +59,10 @@ class Page:
         self._socket = connect(target["webSocketDebuggerUrl"], max_size=None, proxy=None, open_timeout=LONG)
         self._numbers = itertools.count(1)
         self.call("Emulation.setDeviceMetricsOverride", width=WIDE, height=HIGH, deviceScaleFactor=SCALE, mobile=False)
+        self.call("Page.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=SELDOM)
 
-    def open(self, url: str) -> None:
+    def open(self, url: str = "about:blank") -> None:
         """Leaves what it showed."""
         self.call("Page.navigate", url=url)
 
