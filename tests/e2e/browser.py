@@ -22,6 +22,10 @@ LONG = 240.0
 """Of a wait for another process, on however busy a machine [s]; most take a second."""
 WIDE, HIGH, SCENE = 960, 600, 560
 """Of the page; the cell is drawn left of the panel [pixels]."""
+SCALE = 0.5
+"""Pixels that are rendered for one of the page, along each side: without a graphics card each takes the processor."""
+SELDOM = "const next = requestAnimationFrame; requestAnimationFrame = draw => setTimeout(() => next(draw), 150);"
+"""Makes pages draw six pictures in a second, not sixty, for the same reason."""
 POLL = 0.2
 """Between two looks [s]."""
 
@@ -54,9 +58,11 @@ class Page:
             target = next(each for each in json.load(answer) if each["type"] == "page")
         self._socket = connect(target["webSocketDebuggerUrl"], max_size=None, proxy=None, open_timeout=LONG)
         self._numbers = itertools.count(1)
-        self.call("Emulation.setDeviceMetricsOverride", width=WIDE, height=HIGH, deviceScaleFactor=1, mobile=False)
+        self.call("Emulation.setDeviceMetricsOverride", width=WIDE, height=HIGH, deviceScaleFactor=SCALE, mobile=False)
+        self.call("Page.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=SELDOM)
 
-    def open(self, url: str) -> None:
+    def open(self, url: str = "about:blank") -> None:
         """Leaves what it showed."""
         self.call("Page.navigate", url=url)
 
@@ -100,7 +106,8 @@ class Page:
     def picture(self) -> np.ndarray:
         """(HIGH, WIDE, 3) what is on the screen, 0..255."""
         content = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
-        return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), dtype=np.int16)
+        picture = Image.open(io.BytesIO(content)).convert("RGB").resize((WIDE, HIGH), Image.Resampling.NEAREST)
+        return np.asarray(picture, dtype=np.int16)
 
     def close(self) -> None:
         self._socket.close()

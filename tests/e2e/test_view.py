@@ -93,6 +93,7 @@ def test_the_cell_is_seen_played_and_scrubbed(
 
     page.press("Play")
     wait_for("what comes later", lambda: page.stamp > stamp)
+    page.open()
     process.send_signal(signal.SIGINT)
     rest, _ = process.communicate(timeout=LONG)
     assert process.returncode == 0, rest
@@ -115,6 +116,7 @@ def test_people_and_their_predictions_are_seen_in_a_browser(
         return bool(skin.sum() > 500 and shirt.sum() > 500)
 
     wait_for("a person", drawn)
+    page.open()
     said = running.end()
     assert running.sinks[0] in said
 

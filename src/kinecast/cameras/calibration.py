@@ -154,12 +154,7 @@ def find_extrinsics(
     if not any(origin in each for each in T_camera_board.values()):
         where = "in which it should lie where the world begins"
         raise DatasetError(origin, f"the board is not seen in this picture, {where}")
-    cameras = _chained(T_camera_board)
-    seen: dict[str, list[np.ndarray]] = {}
-    for name, poses in T_camera_board.items():
-        for moment, pose in poses.items():
-            seen.setdefault(moment, []).append(cameras[name] @ pose)
-    boards = {moment: _medoid(poses) for moment, poses in seen.items()}
+    cameras, boards = _placed(T_camera_board)
     left_out: dict[str, list[str]] = {name: [] for name in lenses}
     for attempt in range(ATTEMPTS):
         kept = {name: {m: c for m, c in views[name].items() if m not in left_out[name]} for name in lenses}
@@ -177,20 +172,24 @@ def find_extrinsics(
     return Extrinsics({name: T_world @ T for name, T in cameras.items()}, error, std, left_out)
 
 
-def _chained(T_camera_board: Mapping[str, Mapping[str, np.ndarray]]) -> Poses:
-    """Per camera T_first_camera, one after the other by the ties with most moments in common."""
+def _placed(T_camera_board: Mapping[str, Poses]) -> tuple[Poses, Poses]:
+    """T_first_camera and T_first_board as far as single pictures tell, camera by camera, the best tied first."""
     names = list(T_camera_board)
-    found = {names[0]: np.eye(4)}
-    while len(found) < len(names):
-        ties = [(a, b, T_camera_board[a].keys() & T_camera_board[b]) for a in found for b in names if b not in found]
-        a, b, common = max(ties, key=lambda tie: len(tie[2]))
-        if not common:
-            missing = ", ".join(name for name in names if name not in found)
-            known = " or ".join(found)
-            raise DatasetError(missing, f"no picture of the board at a moment that {known} saw too (of the same name)")
-        between = [T_camera_board[a][moment] @ inverse(T_camera_board[b][moment]) for moment in sorted(common)]
-        found[b] = found[a] @ _medoid(between)
-    return {name: found[name] for name in names}
+    cameras: Poses = {names[0]: np.eye(4)}
+    while True:
+        seen: dict[str, list[np.ndarray]] = {}
+        for name, T_first in cameras.items():
+            for moment, T in T_camera_board[name].items():
+                seen.setdefault(moment, []).append(T_first @ T)
+        boards = {moment: _medoid(poses) for moment, poses in seen.items()}
+        left = [name for name in names if name not in cameras]
+        if not left:
+            return {name: cameras[name] for name in names}, boards
+        name = max(left, key=lambda name: len(T_camera_board[name].keys() & boards))
+        if not T_camera_board[name].keys() & boards:
+            problem = f"no picture of the board at a moment that {' or '.join(cameras)} saw too (of the same name)"
+            raise DatasetError(", ".join(left), problem)
+        cameras[name] = _medoid([boards[m] @ inverse(T) for m, T in T_camera_board[name].items() if m in boards])
 
 
 def _medoid(transforms: list[np.ndarray]) -> np.ndarray:

@@ -50,7 +50,7 @@ class FusedSource:
         self._waiting: dict[str, _Image] = {}
         self._changed = threading.Condition()
         self._stop = False
-        self._progress = self._judged = time.monotonic()
+        self._judged = time.monotonic()
         self._counted = dict.fromkeys(rig.cameras, (0, 0))
         self._thread: threading.Thread | None = None
         self._epoch = time.time() - time.monotonic()
@@ -125,17 +125,13 @@ class FusedSource:
         return sorted(due, key=lambda image: image.acquired)
 
     def _fuse(self, images: Sequence[_Image]) -> None:
-        now = time.monotonic()
-        frames: list[SkeletonFrame] = []
+        frames = [] if images else self.fusion.finish()
         for image in images:
-            self._progress = now
             frames += self.fusion.add(image.camera, image.acquired, image.people)
-        if self.fusion.waiting and now - self._progress > PATIENCE:
-            frames += self.fusion.finish()
         for frame in frames:
             self._feed.put(replace(frame, stamp=frame.stamp + self._epoch), frame.stamp)
-        if now - self._judged > JUDGE:
-            self._judged = now
+        if time.monotonic() - self._judged > JUDGE:
+            self._judged = time.monotonic()
             self._judge()
 
     def _judge(self) -> None:

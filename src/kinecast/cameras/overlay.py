@@ -60,27 +60,16 @@ def drawn(picture: Picture, publications: Sequence[Publication]) -> UInt8[np.nda
 
 
 def _draw_tubes(image: np.ndarray, camera: PinholeCamera, publication: Publication) -> None:
-    tubes, colour = publication.tubes, [255 * part for part in colour_of(publication.prediction.status)]
+    """Each as a line as thick as it is in its middle; one that reaches the camera is left out."""
+    tubes, colour = publication.tubes, 255 * np.array(colour_of(publication.prediction.status))
     for share in SHOWN if len(tubes.times) else ():
         step = max(round(share * len(tubes.times)) - 1, 0)
         layer = image.copy()
-        for start, end, radius in zip(tubes.start[step], tubes.end[step], tubes.radius[step], strict=True):
-            outline = _capsule(camera, np.stack([start, end]), float(radius))
-            if outline is not None:
-                cv2.fillConvexPoly(layer, outline, colour, cv2.LINE_AA, 4)
+        pixels, depth = camera.project(np.stack([tubes.start[step], tubes.end[step]], axis=1))  # (L, 2, 2), (L, 2)
+        for ends, away, radius in zip(pixels, depth, tubes.radius[step], strict=True):
+            if (away > 2 * radius).all():
+                _line(layer, ends, colour, max(round(2 * camera.intrinsics.fx * radius / away.mean()), 1))
         cv2.addWeighted(layer, TUBE, image, 1 - TUBE, 0, image)
-
-
-def _capsule(camera: PinholeCamera, ends: Float[np.ndarray, "2 3"], radius: float) -> np.ndarray | None:
-    """Hull of a capsule's two circles in the image, in parts of a pixel; None where it is not before the camera."""
-    pixels, depth = camera.project(ends)
-    if not (np.isfinite(pixels).all() and np.isfinite(radius) and (depth > 2 * radius).all()):
-        return None
-    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    size = camera.intrinsics.fx * radius / depth
-    points = (pixels[:, None] + size[:, None, None] * circle).reshape(-1, 2)
-    return cv2.convexHull(_fine(points))
 
 
 def _draw_fan(image: np.ndarray, camera: PinholeCamera, publication: Publication) -> None:
@@ -91,37 +80,33 @@ def _draw_fan(image: np.ndarray, camera: PinholeCamera, publication: Publication
         layer = image.copy()
         for step in steps:
             share = step / max(len(mean) - 1, 1)
-            colour = (1 - share) * SOON + share * LATE
-            _lines(layer, camera.project(mean[step])[0], LIMBS, colour, 3 if share < 0.5 else 2)
+            for ends in camera.project(mean[step])[0][np.array(LIMBS)]:
+                _line(layer, ends, (1 - share) * SOON + share * LATE, 3 if share < 0.5 else 2)
         cv2.addWeighted(layer, FAN * layers / FADES, image, 1 - FAN * layers / FADES, 0, image)
 
 
 def _draw_body(image: np.ndarray, camera: PinholeCamera, publication: Publication) -> None:
     frame = publication.frame
     pixels = camera.project(frame.positions)[0]
-    place = {joint: row for row, joint in enumerate(frame.joints)}
-    bones = [(place[a], place[b]) for a, b in BONES if a in place and b in place]
+    place = dict(zip(frame.joints, pixels, strict=False))
     for colour, width in ((EDGE, 4), (BODY, 2)):
-        _lines(image, pixels, bones, colour, width)
+        for a, b in BONES:
+            if a in place and b in place:
+                _line(image, np.stack([place[a], place[b]]), colour, width)
     for pixel in pixels[np.isfinite(pixels).all(axis=1)]:
-        cv2.circle(image, _fine(pixel).tolist(), 4 * FINE, BODY.tolist(), cv2.FILLED, cv2.LINE_AA, 4)
+        cv2.circle(image, _fine(pixel), 4 * FINE, BODY.tolist(), cv2.FILLED, cv2.LINE_AA, 4)
 
 
-def _lines(
-    image: np.ndarray, pixels: np.ndarray, pairs: Sequence[tuple[int, int]], colour: np.ndarray, width: int
-) -> None:
-    for a, b in pairs:
-        if np.isfinite(pixels[[a, b]]).all():
-            cv2.line(
-                image, _fine(pixels[a]).tolist(), _fine(pixels[b]).tolist(), colour.tolist(), width, cv2.LINE_AA, 4
-            )
+def _line(image: np.ndarray, ends: Float[np.ndarray, "2 2"], colour: np.ndarray, width: int) -> None:
+    """Nothing where an end is not known."""
+    if np.isfinite(ends).all():
+        cv2.line(image, _fine(ends[0]), _fine(ends[1]), colour.tolist(), width, cv2.LINE_AA, 4)
 
 
 def _write(image: np.ndarray, publications: Sequence[Publication]) -> None:
     """One line for each person, at the top."""
-    lines = [
-        (f"{each.prediction.person}: {each.prediction.status.name}", each.prediction.status) for each in publications
-    ]
+    said = [each.prediction for each in publications]
+    lines = [(f"{each.person}: {each.status.name}", each.status) for each in said]
     for row, (text, status) in enumerate(lines or [("nobody is seen", Status.OCCLUDED)]):
         colour = tuple(255 * part for part in colour_of(status))
         (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)
@@ -129,6 +114,6 @@ def _write(image: np.ndarray, publications: Sequence[Publication]) -> None:
         cv2.putText(image, text, (10, 24 + 24 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 1, cv2.LINE_AA)
 
 
-def _fine(pixels: np.ndarray) -> np.ndarray:
+def _fine(pixel: np.ndarray) -> list[int]:
     """Sixteenths of a pixel, within what OpenCV takes."""
-    return np.rint(np.clip(pixels, -4000, 8000) * FINE).astype(np.int32)
+    return np.rint(np.clip(pixel, -4000, 8000) * FINE).astype(int).tolist()

@@ -1,8 +1,8 @@
 """Who is where in the images of one camera, from one image to the next: a person detector, and a pose in each box.
 
-Source of what a detector takes and gives: mmdeploy's exports of RTMDet and YOLOX, which end in non-maximum suppression,
-and YOLOX's own (Ge et al. 2021), which do not. The image stands in the upper left of the network's, grey (114)
-elsewhere, blue before red; RTMDet takes it less ImageNet's mean, YOLOX as it is.
+Source of what a detector takes and gives: mmdeploy's exports of RTMDet and YOLOX, which end in non-maximum suppression.
+The image stands in the upper left of the network's, grey (114) elsewhere, blue before red; RTMDet takes it less
+ImageNet's mean, YOLOX as it is.
 """
 
 from __future__ import annotations
@@ -19,13 +19,9 @@ from kinecast.cameras.pose_estimator import PoseEstimator
 from kinecast.errors import ModelError
 
 LEAST_SCORE = 0.5
-MOST_OVERLAP = 0.45  # of two boxes, intersection over union; the weaker one is dropped beyond it, as YOLOX does
-MOST_BOXES = 100  # that are compared
 SMALLEST = 16.0  # of a box, each side [px]
 GREY = 114
-STRIDES = (8, 16, 32)
 PERSON = 0  # COCO's class
-
 MOST_PEOPLE = 4  # in one image: each costs a run of the network
 DETECT_EVERY = 10  # images from one look at the whole image to the next, while somebody is followed
 LEAST_SEEN = 4  # joints by which somebody is followed: an arm and a shoulder
@@ -43,14 +39,8 @@ class PersonDetector:
         self._yolox = "yolox" in name
         self._model = ImageModel(path)
         shape = self._model.sample[0].shape
-        cells = []
-        for stride in STRIDES:
-            rows, columns = np.indices((self._model.height // stride, self._model.width // stride)).reshape(2, -1)
-            cells.append(np.stack([columns, rows, np.full(len(rows), stride)], axis=1))
-        self._cells: Float[np.ndarray, "C 3"] = np.concatenate(cells).astype(np.float64)
-        self._plain = self._yolox and len(shape) == 3 and shape[1] == len(self._cells) and shape[2] >= 6
-        if not self._plain and not (len(shape) == 3 and shape[0] == 1 and shape[2] == 5):
-            raise ModelError(f"{path}: gives {shape}; expected boxes with scores after suppression, or YOLOX's cells")
+        if len(shape) != 3 or shape[0] != 1 or shape[2] != 5:
+            raise ModelError(f"{path}: gives {shape}; expected boxes with scores after suppression")
 
     def find(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "N 4"]:
         """(N, 4) left, top, right, bottom of people [px] in an RGB image, the surest first; may raise a ModelError."""
@@ -60,27 +50,13 @@ class PersonDetector:
         if not self._yolox:
             content = (content - IMAGENET_MEAN) / IMAGENET_STD
         outputs = self._model.run(content[..., ::-1])
-        if self._plain:
-            cells = outputs[0][0]
-            scores = cells[:, 4].astype(np.float64) * cells[:, 5 + PERSON]
-            few = np.argsort(-scores, kind="stable")[:MOST_BOXES]
-            cell, stride = cells[few].astype(np.float64), self._cells[few, 2:]
-            middle = (cell[:, :2] + self._cells[few, :2]) * stride
-            half = np.exp(np.clip(cell[:, 2:4], -20.0, 20.0)) * stride / 2
-            boxes, scores = np.hstack([middle - half, middle + half]), scores[few]
-        else:  # a network that ends in non-maximum suppression
-            found = outputs[0][0].astype(np.float64)
-            if len(outputs) > 1 and outputs[1].size == len(found):
-                found = found[outputs[1].ravel() == PERSON]
-            boxes, scores = found[:, :4], found[:, 4]
-        boxes = np.clip(boxes * scale, 0.0, (wide, high, wide, high))
+        found = outputs[0][0].astype(np.float64)
+        if len(outputs) > 1 and outputs[1].size == len(found):
+            found = found[outputs[1].ravel() == PERSON]
+        boxes, scores = np.clip(found[:, :4] * scale, 0.0, (wide, high, wide, high)), found[:, 4]
         large = (boxes[:, 2:] - boxes[:, :2] >= SMALLEST).all(axis=1)  # also drops what is NaN
         sure = np.flatnonzero(large & (scores >= LEAST_SCORE))
-        kept: list[int] = []
-        for place in sure[np.argsort(-scores[sure], kind="stable")][:MOST_BOXES]:
-            if not (overlaps(boxes[place], boxes[kept]) > MOST_OVERLAP).any():
-                kept.append(place)
-        return boxes[kept]
+        return boxes[sure[np.argsort(-scores[sure], kind="stable")]]
 
 
 class PeopleTracker:

@@ -45,8 +45,7 @@ class Intrinsics:
 
     def pixels(self, directions: Pairs) -> Pairs:
         """(…, 2) pixels of directions x/z, y/z (…, 2)."""
-        seen = self._distorted(directions)[0] if any(self.distortion) else directions
-        return seen * (self.fx, self.fy) + (self.cx, self.cy)
+        return self._distorted(directions) * (self.fx, self.fy) + (self.cx, self.cy)
 
     def directions(self, pixels: Pairs) -> Pairs:
         """(…, 2) directions x/z, y/z that are seen at pixels (…, 2): Newton's method on `pixels`.
@@ -54,40 +53,36 @@ class Intrinsics:
         NaN where a pixel is NaN, or where no direction leads to it.
         """
         seen = (np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
-        if not any(self.distortion):
-            return seen
+        found = seen.copy()
         with np.errstate(all="ignore"):  # what diverges is NaN in the end
-            found = seen.copy()
-            for _ in range(MOST_STEPS):
-                shown, J = self._distorted(found)
-                (a, b), (c, d) = np.moveaxis(J, (-2, -1), (0, 1))
-                ex, ey = np.moveaxis(seen - shown, -1, 0)
-                step = np.stack([d * ex - b * ey, a * ey - c * ex], axis=-1) / (a * d - b * c)[..., None]
-                found = found + step
+            for _ in range(MOST_STEPS if any(self.distortion) else 0):
+                (a, b), (c, d) = np.moveaxis(self._slope(found), (-2, -1), (0, 1))
+                x, y = np.moveaxis(seen - self._distorted(found), -1, 0)
+                step = np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[..., None]
+                found += step
                 if not (np.abs(step) > CONVERGED).any():
                     break
-            found[~(np.abs(self._distorted(found)[0] - seen) < 1e3 * CONVERGED).all(axis=-1)] = np.nan
+            found[~(np.abs(self._distorted(found) - seen) < 1e3 * CONVERGED).all(axis=-1)] = np.nan
         return found
 
     def jacobian(self, directions: Pairs) -> Float[np.ndarray, "*b 2 2"]:
         """(…, 2, 2) ∂pixel/∂direction."""
-        return self._distorted(directions)[1] * np.array([[self.fx], [self.fy]])
+        return self._slope(directions) * np.array([[self.fx], [self.fy]])
 
-    def _distorted(self, directions: Pairs) -> tuple[Pairs, Float[np.ndarray, "*b 2 2"]]:
-        """Directions times (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) and so on, and the derivative."""
+    def _distorted(self, directions: np.ndarray) -> np.ndarray:
+        """Directions times (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), and what p1 and p2 add."""
         k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
         x, y = np.moveaxis(directions, -1, 0)
         r2 = x * x + y * y
-        above, below = (1 + r2 * (a + r2 * (b + r2 * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
-        rise, fall = (a + r2 * (2 * b + 3 * r2 * c) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
-        radial, slope = above / below, (rise * below - above * fall) / (below * below)
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        J = np.empty((*x.shape, 2, 2))
-        J[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-        J[..., 0, 1] = J[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-        J[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        return np.stack([u, v], axis=-1), J
+        return np.stack([u, v], axis=-1)
+
+    def _slope(self, directions: np.ndarray) -> np.ndarray:
+        """(…, 2, 2) ∂distorted/∂direction, exact: by imaginary steps too small to be squared."""
+        tiny = 1e-30
+        return np.stack([self._distorted(directions + 1j * tiny * axis).imag / tiny for axis in np.eye(2)], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from kinecast.types import SkeletonFrame
 
 BODY = tuple(joint for joint in FUSED_JOINTS if joint in JOINTS)  # nose, arms and legs
 _ROWS = np.array([JOINTS.index(joint) for joint in BODY])
-_COLUMNS = np.array([FUSED_JOINTS.index(joint) for joint in BODY])
 _HIPS = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
 _FEET = [JOINTS.index(f"{side}_{part}") for side in ("left", "right") for part in ("heel", "foot")]
 
@@ -71,6 +70,7 @@ class SingleView:
 
     def __init__(self, camera: PinholeCamera, options: ScaleOptions) -> None:
         self._camera, self._options = camera, options
+        self.stamp = np.inf  # of the last image [s]
         self._states: JointStates | None = None
         self._scale, self._scales = 0.0, 0  # log, and from how many images
         known = STATED_STD if options.body else FLOOR_STD if options.feet_on_floor else UNKNOWN_STD
@@ -78,7 +78,7 @@ class SingleView:
 
     def update(self, stamp: float, person: Landmarks, name: str = "0") -> SkeletonFrame | None:
         """The skeleton at the stamp [s] of an image; None where the person cannot be placed."""
-        camera = self._camera
+        camera, self.stamp = self._camera, stamp
         directions = camera.intrinsics.directions(person.pixels)
         shape = person.shape @ turn_towards(directions[_HIPS].mean(axis=0)).T
         seen = (person.confidence >= self._options.least_confidence)[_ROWS] & np.isfinite(directions[_ROWS]).all(axis=1)
@@ -99,28 +99,23 @@ class SingleView:
         own = camera.covariance(points, pixel_std, np.full(len(points), DEPTH_STD))
         common = np.hypot(scale * np.sqrt(covariance[2, 2]), self._depth_share * depth)
         whole = camera.covariance(points, pixel_std, np.hypot(DEPTH_STD, common))
-        shown = states.seen_within(SHOWN)[_COLUMNS]
-        filtered = states.covariance[_COLUMNS, :3, :3]
+        filtered = states.covariance[:, :3, :3]
         std = np.sqrt(np.trace(filtered + own, axis1=1, axis2=2) / 3)
-        positions = np.where(shown[:, None], states.mean[_COLUMNS, 0], np.nan)
+        positions = np.where(states.seen_within(SHOWN)[:, None], states.mean[:, 0], np.nan)
         return SkeletonFrame(stamp, BODY, positions, name, std=std, covariance=filtered + whole)
 
     def _filtered(self, stamp: float, points: np.ndarray, jitter: np.ndarray, seen: np.ndarray) -> JointStates:
         """All joints after this image: one filter a joint, wide along the ray and narrow across it."""
         if self._states is None or not 0 <= stamp - self._states.stamp <= RESTART:
-            self._states = JointStates(stamp)
+            self._states = JointStates(BODY, stamp)
         states = self._states
         states.advance(stamp)
-        columns = _COLUMNS[seen]
-        places, covariance = np.full((len(FUSED_JOINTS), 3), np.nan), np.tile(np.eye(3), (len(FUSED_JOINTS), 1, 1))
-        places[columns], covariance[columns] = points[seen], jitter[seen]
-        told = np.isin(np.arange(len(FUSED_JOINTS)), columns)
-        known = told & states.known
-        information = np.where(known[:, None, None], np.linalg.inv(covariance), 0.0)
-        off = np.where(known[:, None], places - states.mean[:, 0], 0.0)
-        states.correct(np.array([stamp]), information[None], np.einsum("jxy,jy->jx", information, off)[None])
-        states.start(told & ~states.known, places, covariance)
-        states.seen_at[told] = stamp
+        start = seen & ~states.known
+        information = np.zeros_like(jitter)
+        information[seen] = np.linalg.inv(jitter[seen])
+        states.correct(information, np.einsum("jxy,jy->jx", information, points - states.mean[:, 0]))
+        states.start(start, points, jitter)
+        states.seen_at[seen] = stamp
         return states
 
     def _follow_scale(self, person: Landmarks, local: np.ndarray, directions: np.ndarray) -> None:

@@ -93,12 +93,11 @@ class VideoStream:
             capture.release()
 
     def _decoded(self, capture: cv2.VideoCapture, stop: threading.Event) -> Iterator[tuple[float, Colour]]:
-        size, rate = self._asked
-        if size and self.live:
-            capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
-            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-        if rate and self.live:
-            capture.set(cv2.CAP_PROP_FPS, rate)
+        (width, height), rate = self._asked[0] or (None, None), self._asked[1]
+        wanted = {cv2.CAP_PROP_FRAME_WIDTH: width, cv2.CAP_PROP_FRAME_HEIGHT: height, cv2.CAP_PROP_FPS: rate}
+        for number, value in wanted.items():
+            if value and self.live:
+                capture.set(number, value)
         told = capture.get(cv2.CAP_PROP_FPS)
         self.rate = float(told) if 1.0 <= told <= 1000.0 else self.rate
         index, last = 0, -np.inf

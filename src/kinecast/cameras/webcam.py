@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +115,7 @@ class WebcamSource:
         pose = level_pose(options.height, float(np.radians(options.tilt)))
         self._camera = PinholeCamera(name, self.intrinsics, pose)
         self._feed, self._options, self._watchers, self._handler = feed, options, watchers, handler
-        self._views: dict[str, tuple[SingleView, float]] = {}
+        self._views: dict[str, SingleView] = {}
         self._newest: queue.SimpleQueue[tuple[float, Colour, float] | None] = queue.SimpleQueue()  # at most one picture
         self._stop = threading.Event()
         self._threads = [threading.Thread(target=each, name=name, daemon=True) for each in (self._read, self._run)]
@@ -136,27 +136,29 @@ class WebcamSource:
         """Holds the newest picture; one that nobody looked at in time is counted as stale."""
         while not self._stop.is_set():
             try:
-                self._read_once()
+                for picture in self._played():
+                    with suppress(queue.Empty):
+                        self._newest.get_nowait()
+                        self._feed.received += 1
+                        self._feed.superseded += 1
+                    self._newest.put(picture)
             except Exception as problem:  # of OpenCV, the camera, the file: none may end the others
                 self._feed.refuse(f"{type(problem).__name__}: {problem}")
             if not self.stream.live or self._stop.wait(RETRY):
                 break
         self._newest.put(None)
 
-    def _read_once(self) -> None:
-        begun, first = time.monotonic(), None
+    def _played(self) -> Iterator[tuple[float, Colour, float]]:
+        """Pictures with their stamps, and when they came or were due [s] on `time.monotonic`."""
+        begun: float | None = None  # of a file's clock, on this one
         for stamp, picture in self.stream.pictures(self._stop):
-            arrived = time.monotonic()
+            due = time.monotonic()
             if not self.stream.live:
-                first = stamp if first is None else first
-                arrived = begun + (stamp - first) / self._options.speed
-                if self._stop.wait(max(arrived - time.monotonic(), 0.0)):
+                begun = due - stamp / self._options.speed if begun is None else begun
+                due = begun + stamp / self._options.speed
+                if self._stop.wait(max(due - time.monotonic(), 0.0)):
                     return
-            with suppress(queue.Empty):
-                self._newest.get_nowait()
-                self._feed.received += 1
-                self._feed.superseded += 1
-            self._newest.put((stamp, picture, arrived))
+            yield stamp, picture, due
 
     def _run(self) -> None:
         looked_at = placed = 0
@@ -179,19 +181,16 @@ class WebcamSource:
             self._handler(stamp, [self._detection(stamp, name, each) for name, each in people.items()], acquired)
             frames = []
         else:
-            views = {name: self._views[name][0] if name in self._views else self._view() for name in people}
-            frames = [views[name].update(stamp, person, name) for name, person in people.items()]
-            kept = {name: known for name, known in self._views.items() if stamp - known[1] <= RESTART}
-            self._views = kept | {name: (view, stamp) for name, view in views.items()}
+            self._views = {name: view for name, view in self._views.items() if stamp - view.stamp <= RESTART}
+            for name in people.keys() - self._views:
+                self._views[name] = SingleView(self._camera, self._options.scale)
+            frames = [self._views[name].update(stamp, person, name) for name, person in people.items()]
         for watcher in self._watchers:
             watcher(Picture(self._feed.name, stamp, picture, self._camera, self.stream.rate))
         for frame in frames:
             if frame is not None:
                 self._feed.put(frame, acquired, 1.0 if self.stream.live else self._options.speed)
         return len(people)
-
-    def _view(self) -> SingleView:
-        return SingleView(self._camera, self._options.scale)
 
     def _detection(self, stamp: float, name: str, person: Landmarks) -> Detection:
         """For the fusion: pixels, and no depth."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import re
-import subprocess
 import sys
 import threading
 import time
@@ -299,21 +298,16 @@ def test_a_camera_of_a_rig_is_fused(
 
 
 def test_the_command_predicts_from_it(
-    recording: tuple[Path, np.ndarray], blob_network: Callable[..., Path], tmp_path: Path
+    recording: tuple[Path, np.ndarray],
+    blob_network: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     source = f"realsense:{recording[0]}?model={blob_network(17, width=144, height=192)}&tilt={TILT}&height={HEIGHT}"
-    command = "from kinecast.cli import main; main()"
-    arguments = ["live", "--source", source, "--model", str(MODEL), "--samples", "20", "--sink", "jsonl:out.jsonl"]
-    done = subprocess.run(
-        [sys.executable, "-c", command, *arguments],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=2 * LONG,
-    )
-    assert done.returncode == 0, done.stderr
-    assert re.search(rf"^realsense:{recording[0]}\s+ended\s+[1-9]", done.stdout, re.MULTILINE)
+    monkeypatch.chdir(tmp_path)
+    main(["live", "--source", source, "--model", str(MODEL), "--samples", "20", "--sink", "jsonl:out.jsonl"])
+    assert re.search(rf"^realsense:{recording[0]}\s+ended\s+[1-9]", capsys.readouterr().out, re.MULTILINE)
     last = json.loads((tmp_path / "out.jsonl").read_text().splitlines()[-1])
     np.testing.assert_allclose(np.array(last["observed"])[:, 1:], BODY[[5, 7, 9, 6, 8, 10], 1:], atol=0.08)
 
@@ -433,7 +427,6 @@ def test_a_camera_or_recording_that_is_not_there_is_named(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({}, "fetch it once with: kinecast download rtmpose-m"),
         ({"model": "m", "size": "big"}, "size 'big', expected a size such as 848x480"),
         ({"model": "m", "rate": "0"}, "rate '0' is outside 1..300"),
         ({"model": "m", "rate": "29.7"}, "rate '29.7' is no whole number"),
@@ -441,23 +434,14 @@ def test_a_camera_or_recording_that_is_not_there_is_named(tmp_path: Path) -> Non
         ({"model": "m", "height": "high"}, "height 'high' is no number"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(
-    settings: dict[str, str], words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("KINECAST_MODELS", str(tmp_path))
+def test_settings_that_cannot_be_are_refused(settings: dict[str, str], words: str) -> None:
     with pytest.raises(OptionError) as caught:
         RealSenseOptions.parse(settings, "realsense:")
     assert words in str(caught.value)
 
 
 def test_settings_are_read() -> None:
-    settings = {
-        "model": "a.onnx",
-        "detector": "yolox.onnx",
-        "size": "640x360",
-        "rate": "15",
-        "tilt": "20",
-        "height": "2",
-    }
+    names = ("model", "detector", "size", "rate", "tilt", "height")
+    settings = dict(zip(names, ("a.onnx", "yolox.onnx", "640x360", "15", "20", "2"), strict=True))
     wanted = RealSenseOptions(Path("a.onnx"), Path("yolox.onnx"), (640, 360), 15, 20.0, 2.0)
     assert RealSenseOptions.parse(settings, "realsense:") == wanted

@@ -112,17 +112,14 @@ class Fusion:
         """Gives each person what was measured of them; what is of nobody known is returned."""
         strangers: list[Measurement] = []
         mine: dict[Person, list[Measurement]] = {person: [] for person in self._people}
-        for left in images:
-            for confirmed in (True, False):
-                group = [person for person in self._people if person.confirmed is confirmed]
-                costs = np.array([[person.distance(each) for person in group] for each in left])
-                costs = costs.reshape(len(left), len(group))
-                pairs = zip(*linear_sum_assignment(np.minimum(costs, 1.0)), strict=True)
-                of = {int(row): group[column] for row, column in pairs if costs[row, column] < ASSIGNED}
-                for row, person in of.items():
-                    mine[person].append(left[row])
-                left = [each for row, each in enumerate(left) if row not in of]
-            strangers += left
+        for seen in images:
+            costs = np.array([[person.distance(each) for person in self._people] for each in seen])
+            costs = costs.reshape(len(seen), len(self._people))
+            pairs = zip(*linear_sum_assignment(np.minimum(costs, 1.0)), strict=True)
+            of = {int(row): self._people[column] for row, column in pairs if costs[row, column] < ASSIGNED}
+            for row, person in of.items():
+                mine[person].append(seen[row])
+            strangers += [each for row, each in enumerate(seen) if row not in of]
         for person, measurements in mine.items():
             if measurements:
                 self._update(person, measurements)

@@ -8,14 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.cameras.fusion.consensus import LIMITS, Consensus
-from kinecast.cameras.fusion.kalman import ANCHOR_STD, Flags, JointStates
+from kinecast.cameras.fusion.kalman import JointStates
 from kinecast.cameras.fusion.measurement import FUSED_JOINTS, Measurement, stacked
 from kinecast.types import SkeletonFrame
 
-PATIENCE = 10  # after so many rounds in which images contradict the past, and nothing supports it, it is given up
 STANDING = 0.8  # share of the variance of what images say that stays in the next: a pose estimator's errors do
-MOST_BEYOND = 0.5  # a joint too far from more than this share of its neighbours is something else
-LOOSE = 0.2  # uncertainty from which a joint is held near the body [m]
 SHOWN = 0.15  # a joint that nobody has seen for so long [s] is not given: the predictor knows that it is hidden
 CONFIRMED = 3  # rounds in which somebody is seen before they count as somebody
 LEAST_SHARED = 3  # joints that must be seen and known for a comparison
@@ -26,10 +23,10 @@ class Person:
 
     def __init__(self, stamp: float) -> None:
         self.name = ""  # the id that frames carry; empty until they have one
-        self.states = JointStates(stamp)
+        self.states = JointStates(FUSED_JOINTS, stamp)
         self.rounds = 0  # in which they were seen
         self.seen_at = stamp
-        self._doubts = np.zeros(len(FUSED_JOINTS), dtype=np.int64)
+        self._standing = np.zeros((len(FUSED_JOINTS), 3, 3))  # of the part of an error that stays in the next image
 
     @property
     def confirmed(self) -> bool:
@@ -37,53 +34,30 @@ class Person:
         return self.rounds >= CONFIRMED
 
     def update(self, measurements: Sequence[Measurement]) -> list[Measurement]:
-        """Takes at most one measurement of each camera; those that disagree as a whole are left out, and returned."""
+        """Takes at most one measurement of each camera, and returns those that disagree as a whole."""
         states = self.states
         images = stacked(measurements)
-        consensus = Consensus(images, states)
-        wrong = consensus.wrong_images
-        left_out = [each for each, out in zip(measurements, wrong, strict=True) if out]
-        if wrong.all():
-            return left_out
-        if wrong.any():
-            images = stacked([each for each, out in zip(measurements, wrong, strict=True) if not out])
-            consensus = Consensus(images, states)
-        self._doubts = np.where(consensus.doubted, self._doubts + 1, 0)
-        given_up = self._doubts > PATIENCE
-        lost = states.known & (~consensus.past | given_up)
-        if given_up.any():
-            states.forget(given_up)
-            consensus = Consensus(images, states)
-            self._doubts[given_up] = 0
+        consensus = Consensus(images, states, self._standing)
+        lost = states.known & ~consensus.past
         located = np.isfinite(consensus.positions).all(axis=1)
-        start = (lost | ~states.known) & located
-        information, surprise = consensus.evidence()
-        states.correct(images.stamp, information * ~start[:, None, None], surprise * ~start[:, None])
+        start = located & (lost | ~states.known)
+        going_on, delay = ~start[:, None], states.stamp - float(np.mean(images.stamp))
+        states.correct(consensus.information * going_on[..., None], consensus.surprise * going_on, delay)
         states.start(start, consensus.positions, consensus.covariance)
         touched = start | (states.known & consensus.used.any(axis=(0, 2)) & ~lost)
         if touched.any():
             states.seen_at[touched] = self.seen_at = states.stamp
             self.rounds += 1
-            states.standing[touched & located] = STANDING * consensus.covariance[touched & located]
-            self._hold(touched & ~consensus.located)
-            states.forget(states.share_too_far(states.mean[:, 0]) > MOST_BEYOND)
-        return left_out
-
-    def _hold(self, joints: Flags) -> None:
-        """Keeps joints near the body that one pixel alone was seen of: nothing else says how far they are."""
-        middle, anchored = self.states.anchors()
-        loose = np.sqrt(np.trace(self.states.covariance[:, :3, :3], axis1=1, axis2=2)) > LOOSE
-        held = (joints & anchored & loose)[:, None]
-        off = np.where(held, middle - self.states.mean[:, 0], 0.0) / ANCHOR_STD**2
-        information = held[..., None] * np.eye(3) / ANCHOR_STD**2
-        self.states.correct(np.array([self.states.stamp]), information[None], off[None])
+            self._standing[touched & located] = STANDING * consensus.covariance[touched & located]
+        return [each for each, wrong in zip(measurements, consensus.wrong_images, strict=True) if wrong]
 
     def distance(self, measurement: Measurement) -> float:
         """How far a measurement is from where the joints should be, 0..1; inf where too few are seen and known.
 
         Squared Mahalanobis distances of pixels and depths, each up to its limit: their mean share of the limit.
         """
-        places, covariance = self.states.at(measurement.stamp)
+        places = self.states.at(np.array([measurement.stamp]))[0]
+        covariance = self.states.covariance[:, :3, :3] + self._standing
         both = measurement.seen[:, 0] & self.states.known
         if both.sum() < LEAST_SHARED:
             return np.inf
@@ -107,7 +81,7 @@ class Person:
         """What is known now, as a skeleton of the joints that were ever seen."""
         states = self.states
         ever = np.flatnonzero(states.known)
-        positions, covariance = states.mean[ever, 0].copy(), (states.covariance[:, :3, :3] + states.standing)[ever]
+        positions, covariance = states.mean[ever, 0].copy(), (states.covariance[:, :3, :3] + self._standing)[ever]
         gone = ~states.seen_within(SHOWN)[ever]
         positions[gone], covariance[gone] = np.nan, np.nan
         std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
