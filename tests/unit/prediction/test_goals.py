@@ -40,13 +40,13 @@ def method() -> Kinecast:
 
 @pytest.fixture(scope="module")
 def seen() -> Observation:
-    """Half-way through a reach of the right hand."""
+    """A third of the way through a reach of the right hand."""
     person = fetching([Fetch(1.0, RIGHT)], 3.0, seed=2, rate=30.0)
     arms = np.stack(
         [person.joint(f"{side}_{joint}") for side in HANDS for joint in ("shoulder", "elbow", "wrist")], axis=1
     )
     way = np.linalg.norm(arms[:, 5] - RIGHT, axis=1)
-    middle = int(np.argmax(way < 0.6 * way[30]))
+    middle = int(np.argmax(way < 0.7 * way[30]))
     return Observation(arms[middle - 5 : middle + 1], UP, 1.0 / 30.0, middle / 30.0)
 
 
@@ -116,7 +116,7 @@ def test_a_goal_draws_mean_and_samples_to_it(method: Kinecast, seen: Observation
     without, found = forecast(method, seen, Scene()), forecast(method, seen, Scene((), GOALS))
     assert found.goals["right"]["part"] > 0.5
     away = [np.linalg.norm(each.mean[-1, 5] - RIGHT) for each in (without, found)]
-    assert away[1] < 0.75 * away[0]
+    assert away[1] < 0.70 * away[0]
     near = [(np.linalg.norm(each.samples[:, -1, 5] - RIGHT, axis=1) < 0.08).mean() for each in (without, found)]
     assert near[1] > 2 * near[0]
     # The left hand is not touched by the right one's goal.
