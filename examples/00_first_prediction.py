@@ -19,7 +19,7 @@ RIGHT_WRIST = ARM_JOINTS.index("right_wrist")
 def main() -> None:
     predictor = Predictor.shipped(options=PredictorOptions(samples=300))
     # A generated person stands in for a camera: 30 frames per second, noisy, with dropouts and jumps.
-    (person,) = generate(SyntheticOptions(subjects=1, recordings=1, duration=3.0), seed=4)
+    (person,) = generate(SyntheticOptions(subjects=1, recordings=1, duration=4.0), seed=4)
     bin_on_table = Box(center=np.array([0.45, -0.2, 0.95]), size=np.array([0.2, 0.2, 0.1]))
 
     shown = range(20, 75, 9)

@@ -20,7 +20,9 @@ def test_a_bag_is_played_into_bags_of_both_generations(
     take, first, second = tmp_path / "take.bag", tmp_path / "first.bag", tmp_path / "second"
     assert kinecast("convert", tables[0], take).code == 0
     sinks = ("--sink", f"bag:{first}", "--sink", f"bag:{second}?distro=humble&storage=sqlite3&outputs=prediction,poses")
-    done = kinecast("live", "--source", f"bag:{take}?speed=5", "--model", MODEL, "--samples", 20, *sinks)
+    done = kinecast(
+        "live", "--source", f"bag:{take}?speed=5", "--model", MODEL, "--horizon", 0.5, "--samples", 20, *sinks
+    )
     assert done.code == 0, done.err
     frames, stale = map(int, re.findall(r"ended\s+(\d+)\s+(\d+)", done.out)[0])
     assert frames == 150

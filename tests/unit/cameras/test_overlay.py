@@ -26,7 +26,7 @@ GREY = np.full((240, 320, 3), 128, dtype=np.uint8)
 
 @pytest.fixture(scope="module")
 def published() -> Publication:
-    predictor = Predictor.load(MODEL, options=PredictorOptions(samples=50))
+    predictor = Predictor.load(MODEL, options=PredictorOptions(samples=50, horizon=0.5))
     for k in range(12):
         frame = SkeletonFrame(k / 30, ARM_JOINTS, ARMS, "ada")
         prediction = predictor.observe(frame)

@@ -31,6 +31,7 @@ from kinecast.cameras.realsense import (
 )
 from kinecast.cameras.rig import Rig
 from kinecast.cli import main
+from kinecast.cli.commands import run
 from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.transforms import apply, inverse
 from kinecast.live.detection import Detection
@@ -306,7 +307,7 @@ def test_the_command_predicts_from_it(
 ) -> None:
     source = f"realsense:{recording[0]}?model={blob_network(17, width=144, height=192)}&tilt={TILT}&height={HEIGHT}"
     monkeypatch.chdir(tmp_path)
-    main(["live", "--source", source, "--model", str(MODEL), "--samples", "20", "--sink", "jsonl:out.jsonl"])
+    run(["live", "--source", source, "--model", str(MODEL), "--samples", "20", "--sink", "jsonl:out.jsonl"])
     assert re.search(rf"^realsense:{recording[0]}\s+ended\s+[1-9]", capsys.readouterr().out, re.MULTILINE)
     last = json.loads((tmp_path / "out.jsonl").read_text().splitlines()[-1])
     np.testing.assert_allclose(np.array(last["observed"])[:, 1:], BODY[[5, 7, 9, 6, 8, 10], 1:], atol=0.08)

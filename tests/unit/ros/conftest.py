@@ -27,7 +27,7 @@ RandomFields = Callable[[Messages, str, np.random.Generator], dict[str, Any]]
 @pytest.fixture
 def publish() -> Publish:
     """publish(arms, stamp, person="0") → Publication of one frame, acquired at its stamp."""
-    predictor = Predictor.load(MODEL, options=PredictorOptions(samples=60))
+    predictor = Predictor.load(MODEL, options=PredictorOptions(samples=60, horizon=0.5))
 
     def make(arms: np.ndarray = REST, stamp: float = 0.0, person: str = "0") -> Publication:
         frame = SkeletonFrame(stamp, ARM_JOINTS, arms, person, "cell")
