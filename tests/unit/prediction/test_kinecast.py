@@ -443,7 +443,7 @@ class TestParts:
 
     def test_after_a_pause_of_the_horizon_the_spread_is_judged_by_nothing(self, method: Kinecast) -> None:
         steps = method.steps
-        scale = AdaptiveScale(method.error_model, method.dt)
+        scale = AdaptiveScale(method.error_model, steps, method.dt)
         scale.predicted(np.zeros((steps, 6, 3)), np.ones((steps, 6)), np.eye(3), UNIT, REST)
         scale.skip(steps)
         scale.observe(np.full((6, 3), 10.0))
@@ -464,7 +464,7 @@ class TestParts:
     def test_the_spread_grows_after_misses_and_shrinks_after_none(self, method: Kinecast) -> None:
         steps = method.steps
         for far, grows in ((10.0, True), (0.0, False)):
-            scale = AdaptiveScale(method.error_model, method.dt)
+            scale = AdaptiveScale(method.error_model, steps, method.dt)
             for _ in range(60):
                 scale.observe(np.full((6, 3), far))
                 scale.predicted(np.zeros((steps, 6, 3)), np.ones((steps, 6)), np.eye(3), UNIT, REST)

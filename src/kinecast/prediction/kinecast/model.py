@@ -155,7 +155,7 @@ class Kinecast:
 
     def init_state(self) -> State:
         """See kinecast.prediction.method.Method."""
-        adaptive = AdaptiveScale(self.error_model, self.dt) if self.adaptive else None
+        adaptive = AdaptiveScale(self.error_model, self.steps, self.dt) if self.adaptive else None
         return State(rolling_errors(len(self.experts), self.error_model.steps), adaptive)
 
     def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
@@ -174,7 +174,8 @@ class Kinecast:
         output = mix(self.gate, state.errors, window, measured, made, self.falls_back)
         scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:
-            state.adaptive.predicted(output.mean, scale, yaw_frame(window[-1]), weights, output.motion.speed)
+            near = output.mean[: self.steps], scale[: self.steps]
+            state.adaptive.predicted(*near, yaw_frame(window[-1]), weights, output.motion.speed)
         state.path.extend(window[-1 if state.path else 0 :, WRISTS])
         while len(state.path) > PATH / self.dt + 1:
             state.path.popleft()
@@ -186,11 +187,12 @@ class Kinecast:
         if state.output is None or state.scale is None or state.weights is None:
             state = self.update(state, observation, observation.positions[-1])
             return self.forecast(state, observation, rng, samples)
-        scale, output, model, steps = state.scale, state.output, self.error_model, self.steps
+        steps, output, model = self.steps, state.output, self.error_model
+        scale = state.scale[:steps]
         if state.adaptive is not None:
             scale = scale * state.adaptive.factor(output.motion.speed)
         rotation = observation.frame[0].T @ yaw_frame(observation.positions[-1])
-        factor = with_noise(model.factor_in(scale[:steps], rotation), observation.noise)
+        factor = with_noise(model.factor_in(scale, rotation), observation.noise)
         world_mean = output.mean[:steps]
         mean = observation.to_torso(world_mean)
         draws = rng.standard_normal((factor.shape[-1], samples))
