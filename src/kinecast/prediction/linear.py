@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -115,10 +116,14 @@ def damped_velocity(windows: Windows, futures: Futures, dt: float) -> WindowFilt
     with the least mean point error over the first half second is taken: there the baseline is as strong as it can be.
     """
     frames, steps = windows.shape[1], futures.shape[1]
-    near = max(round(0.5 / dt), 1)
+    near = futures[:, : max(round(0.5 / dt), 1)]
     estimators = [_difference(frames, 1), _difference(frames, 2), slope_weights(frames, 1), slope_weights(frames, 2)]
-    filters = [damped(velocity, tau, steps) for velocity in estimators for tau in TIME_CONSTANTS / dt]
-    return min(filters, key=lambda model: _mean_point_error(model.mean(windows)[:, :near], futures[:, :near]))
+
+    def error(fading: tuple[Float[np.ndarray, " N"], float]) -> float:
+        return _mean_point_error(damped(*fading, near.shape[1]).mean(windows), near)
+
+    velocity, tau = min(product(estimators, TIME_CONSTANTS / dt), key=error)
+    return damped(velocity, tau, steps)
 
 
 def kalman(windows: Windows, futures: Futures) -> WindowFilter:

@@ -20,7 +20,7 @@ from kinecast.prediction.linear import MeanModel, constant_velocity, damped_velo
 from kinecast.prediction.method import Method
 from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
-from kinecast.prediction.noise import BLOCK, sensor_noise
+from kinecast.prediction.noise import sensor_noise
 from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
 from kinecast.prediction.plugins import is_plugin, load_plugin
@@ -110,8 +110,7 @@ def _fit_gaussian(kind: Any, fit: Any, windows: TrainingWindows, noise: float) -
 
 def limits_of(windows: TrainingWindows) -> JointLimits:
     """Limits whose ranges are widened to hold the postures trained on: markers are not always at the joints."""
-    blocks = [windows.take(np.arange(k, min(k + BLOCK, len(windows)))) for k in range(0, len(windows), BLOCK)]
-    last = [postures_from_points(block.points, continuous=True)[:, -1] for block in blocks]
+    last = [postures_from_points(block.points, continuous=True)[:, -1] for block in windows.blocks()]
     return JointLimits().widened(np.concatenate(last))
 
 

@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 from kinecast.prediction.observation import TrainingWindows
 
-BLOCK = 10_000
-"""Windows looked at together: all of them would take as much room again as they do."""
 LEAST_SINE = 0.02
 """Near a degenerate pose an angle's noise stops growing here."""
 
@@ -20,8 +18,8 @@ def sensor_noise(windows: TrainingWindows) -> float:
     σ √20. The median over windows of a robust (median absolute deviation) spread is taken.
     """
     spreads = []
-    for first in range(0, len(windows), BLOCK):
-        tracks = np.concatenate([part[first : first + BLOCK] for part in (windows.observed, windows.future)], axis=1)
+    for block in windows.blocks():
+        tracks = np.concatenate([block.observed, block.future], axis=1)
         spreads.append(np.median(np.abs(np.diff(tracks, n=3, axis=1)), axis=(1, 2, 3)))
     # 1.4826: from median absolute deviation to standard deviation of a normal.
     return float(max(1.4826 * np.median(np.concatenate(spreads)) / np.sqrt(20.0), 1e-4))

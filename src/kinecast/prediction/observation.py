@@ -7,6 +7,7 @@ or faces.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -23,6 +24,9 @@ LEFT_SHOULDER, RIGHT_SHOULDER = ARM_JOINTS.index("left_shoulder"), ARM_JOINTS.in
 
 STANDING = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
 """(6, 3) somebody who stands still [m]: what predictors are warmed up and methods tried with."""
+
+BLOCK = 10_000
+"""Training windows that are looked at together."""
 
 
 def reference_frame(
@@ -156,6 +160,11 @@ class TrainingWindows:
         """Some of the windows."""
         own = ("observed", "future", "up", "recording", "frame", "group", "collection", "subject")
         return replace(self, **{name: getattr(self, name)[rows] for name in own})
+
+    def blocks(self) -> Iterator[TrainingWindows]:
+        """All windows in their order, some at a time: what is derived from all at once takes as much room again."""
+        for first in range(0, len(self), BLOCK):
+            yield self.take(np.arange(first, min(first + BLOCK, len(self))))
 
     def outside(self, scene: Scene) -> TrainingWindows:
         """Only the windows that end with both arms free of obstacles."""

@@ -32,7 +32,7 @@ JUDGED = slice(2, None, 3)
 """Steps at which the gate is fitted: what it learns varies smoothly with the step."""
 FOLLOWED = 48_000
 """About as many windows, recordings whole, are followed frame by frame for the gate and the error model."""
-TOGETHER = 256
+AT_ONCE = 256
 """Windows that are forecast at once: those of a long recording would take a gigabyte."""
 SIZES = 0.15
 """People are this much larger or smaller, log-uniform."""
@@ -192,11 +192,11 @@ def _followed(
     steps, before = windows.future.shape[1], int(windows.frame[0]) - 1
     errors = rolling_errors(len(networks), steps)
     for row, frame in enumerate(windows.frame.tolist()):
-        if row % TOGETHER == 0:
-            made = forecasts(networks, windows.observed[row : row + TOGETHER], steps)
+        if row % AT_ONCE == 0:
+            made = forecasts(networks, windows.observed[row : row + AT_ONCE], steps)
         if frame - before - 1 > LONGEST_PAUSE:
             errors, before = rolling_errors(len(networks), steps), frame - 1
         errors.skip(frame - before - 1)
         window = windows.observed[row]
-        yield row, mix(gate, errors, window, window[-1], made[row % TOGETHER]), window
+        yield row, mix(gate, errors, window, window[-1], made[row % AT_ONCE]), window
         before = frame

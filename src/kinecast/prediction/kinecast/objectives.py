@@ -19,6 +19,7 @@ BASIS = 8
 LEAST_MOTION = 0.02
 """Added to a window's motion [m] where its error is weighed by it."""
 GATE_STEPS, GATE_BATCH, GATE_DECAY = 1500, 192, 1e-2
+"""Of the gate's descent."""
 EXPERTS_DROPPED = 0.2
 """Share of the learned experts left out at random while the gate is fitted: none is to be relied on alone."""
 ROUNDS = 3
@@ -134,7 +135,7 @@ def fit_gate(
         weights = jax.nn.softmax(logits, axis=1).transpose(0, 1, 3, 2)
         mixed = (weights[..., None] * made).sum(axis=1)
         distance = jnp.sqrt(((mixed - came) ** 2).sum(-1) + 1e-7)
-        motion = jnp.sqrt((came**2).sum(-1)).mean((1, 2)) + 0.02
+        motion = jnp.sqrt((came**2).sum(-1)).mean((1, 2)) + LEAST_MOTION
         penalty = GATE_DECAY * ((bias**2).sum() + (slope**2).sum())
         return 3.0 * (distance.mean((1, 2)) / jnp.sqrt(motion)).mean() + penalty
 
@@ -253,7 +254,8 @@ def _correlation(white: Errors) -> tuple[Float[np.ndarray, "T 6 3 R"], Float[np.
     steps = white.shape[1]
     white = _alike(white)
     early = np.sqrt(np.arange(1.0, steps + 1) / steps)  # errors change most in the first steps
-    smooth = np.linalg.qr(np.cos(np.pi * np.outer(early, np.arange(min(max(SMOOTH, steps // SMOOTH_EVERY), steps)))))[0]
+    functions = np.arange(min(max(SMOOTH, steps // SMOOTH_EVERY), steps))
+    smooth = np.linalg.qr(np.cos(np.pi * np.outer(early, functions)))[0]
     flat = np.einsum("tk,sk,bsjd->btjd", smooth, smooth, white, optimize=True).reshape(len(white), -1)
     spread = np.sqrt((white**2).mean(axis=0)).ravel()
     values, vectors = np.linalg.eigh(flat.T @ flat / len(flat) / np.outer(spread, spread))
