@@ -125,10 +125,8 @@ def _deepest(a: Point, d: Point, h: Point) -> float:
 
 @njit(cache=True)
 @no_type_check
-def segment_distance(row: np.ndarray, start: Point, end: Point) -> float:
-    """Least signed distance [m] over the points of a segment to one obstacle, exact."""
-    if row[0] == HALF_SPACE:
-        return min(_height(row, start), _height(row, end))
+def _box_distance(row: np.ndarray, start: Point, end: Point) -> float:
+    """Least signed distance [m] over the points of a segment to one rounded box, exact."""
     a, b = _local(row, start), _local(row, end)
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     h = (row[13], row[14], row[15])
@@ -168,16 +166,22 @@ def point_distance(row: np.ndarray, p: Point) -> tuple[float, Point]:
 def _nearest(
     rows: np.ndarray, half: np.ndarray, points: np.ndarray, limbs: np.ndarray, most: float, out: np.ndarray
 ) -> None:
-    """`half` (T, O, 3) are half widths of upright boxes around obstacles, of half-spaces inf: most limbs are off."""
+    """`half` (T, O, 3) are half widths of upright boxes around rounded boxes: most limbs are off."""
     for s in range(out.shape[0]):
         for t in range(out.shape[1]):
             for k in range(out.shape[2]):
                 i, j = limbs[k, 0], limbs[k, 1]
                 ax, ay, az = points[s, t, i, 0], points[s, t, i, 1], points[s, t, i, 2]
                 bx, by, bz = points[s, t, j, 0], points[s, t, j, 1], points[s, t, j, 2]
-                nearest = math.nan if math.isnan(ax + ay + az + bx + by + bz) else most
+                nearest = most
                 for o in range(rows.shape[1]):
                     cx, cy, cz = rows[t, o, 1], rows[t, o, 2], rows[t, o, 3]
+                    if rows[t, o, 0] == HALF_SPACE:
+                        nx, ny, nz = rows[t, o, 4], rows[t, o, 5], rows[t, o, 6]
+                        start = nx * (ax - cx) + ny * (ay - cy) + nz * (az - cz)
+                        end = nx * (bx - cx) + ny * (by - cy) + nz * (bz - cz)
+                        nearest = min(nearest, start, end)
+                        continue
                     x, y, z = half[t, o, 0] + nearest, half[t, o, 1] + nearest, half[t, o, 2] + nearest
                     if (
                         (ax - cx > x and bx - cx > x) or (cx - ax > x and cx - bx > x)
@@ -185,10 +189,10 @@ def _nearest(
                         or (az - cz > z and bz - cz > z) or (cz - az > z and cz - bz > z)
                     ):  # fmt: skip
                         continue
-                    distance = segment_distance(rows[t, o], (ax, ay, az), (bx, by, bz))
+                    distance = _box_distance(rows[t, o], (ax, ay, az), (bx, by, bz))
                     if distance < nearest:
                         nearest = distance
-                out[s, t, k] = nearest
+                out[s, t, k] = math.nan if math.isnan(ax + ay + az + bx + by + bz) else nearest
 
 
 def limb_distances(
@@ -209,7 +213,6 @@ def limb_distances(
     """
     batch, shape = points.shape[:-3], points.shape[-3:]
     half = (np.abs(rows[..., 4:13]).reshape(*rows.shape[:2], 3, 3) @ rows[..., 13:16, None])[..., 0] + rows[..., 16:]
-    half[rows[..., 0] == HALF_SPACE] = math.inf
     out = np.empty((math.prod(batch), shape[0], len(limbs)))
     _nearest(rows, half, np.ascontiguousarray(points, dtype=np.float64).reshape(len(out), *shape), limbs, most, out)
     return out.reshape(*batch, shape[0], len(limbs))

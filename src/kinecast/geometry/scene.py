@@ -106,8 +106,8 @@ class Scene:
         if not 0 <= limb_radius < np.inf:
             raise OptionError(f"limb_radius {limb_radius} m must be 0 or more")
         beyond = float(np.nextafter(limb_radius, np.inf))  # how much farther does not matter
-        distances = limb_distances(self.rows(times), arm_points, LIMBS, beyond)
-        return np.asarray((distances > limb_radius).all(axis=-1))
+        clear = limb_distances(self.rows(times), arm_points, LIMBS, beyond) > limb_radius
+        return clear[..., 0] & clear[..., 1] & clear[..., 2] & clear[..., 3]
 
 
 def _table(entry: Entry) -> Shape:

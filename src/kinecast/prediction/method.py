@@ -190,13 +190,14 @@ def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray
 @no_type_check
 def _covariances(samples: Float[np.ndarray, "S K 3"], mean: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3 3"]:
     out = np.zeros((len(mean), 3, 3))
-    for k in range(len(mean)):
-        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for s in range(len(samples)):
+    for s in range(len(samples)):
+        for k in range(len(mean)):
             x, y, z = samples[s, k, 0] - mean[k, 0], samples[s, k, 1] - mean[k, 1], samples[s, k, 2] - mean[k, 2]
-            xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
-            yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
-        for i, row in enumerate(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))):
-            for j in range(3):
-                out[k, i, j] = row[j]
+            out[k, 0, 0] += x * x
+            out[k, 0, 1] += x * y
+            out[k, 0, 2] += x * z
+            out[k, 1, 1] += y * y
+            out[k, 1, 2] += y * z
+            out[k, 2, 2] += z * z
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = out[:, 0, 1], out[:, 0, 2], out[:, 1, 2]
     return out / len(samples)

@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,8 @@ A = TypeVar("A", bound="Arrays")
 class Arrays:
     """Base of dataclasses whose fields are arrays and dataclasses of them: they go into a model file by name."""
 
+    PRECISION: ClassVar[type[np.floating]] = np.float64
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Each field by its name; the fields of a field as `name.field`."""
         arrays: dict[str, np.ndarray] = {}
@@ -54,7 +56,8 @@ class Arrays:
             ModelError: an array is missing.
         """
         names = [f.name for f in dataclasses.fields(cls) if f.name not in parts]  # type: ignore[arg-type]
-        return cls(**parts, **{name: np.asarray(_present(arrays, prefix + name), float)[()] for name in names})
+        own = {name: np.asarray(_present(arrays, prefix + name), cls.PRECISION)[()] for name in names}
+        return cls(**parts, **own)
 
 
 @dataclass(frozen=True)

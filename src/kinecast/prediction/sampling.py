@@ -57,32 +57,33 @@ def sample_motions(
         (S, T, 6, 3) positions in the world [m].
     """
     steps, samples = len(mean), draws.shape[1]
-    drawn = np.zeros((-(-samples // BLOCK), len(draws), BLOCK))
-    for b, block in enumerate(drawn):
-        part = draws[:, b * BLOCK : (b + 1) * BLOCK]
-        block[:, : part.shape[1]] = part
     within = None if limits is None else _within(limits, observation)
     motions = np.empty((samples, steps, 6, 3))
 
     def fill(first: int, last: int) -> None:
-        """The motions of some blocks."""
-        poses = (factor.reshape(steps, 1, 18, -1) @ drawn[first:last]).reshape(steps, last - first, 18 * BLOCK)
-        if farthest is not None:
-            _hold_near(poses, 1.0 / farthest**2)
-        poses.reshape(steps, last - first, 18, BLOCK)[:] += mean.reshape(steps, 1, 18, 1)
-        if within is not None:
-            angles, adjacent = np.empty((2, steps, last - first, 8 * BLOCK))
-            _arm_triangles(poses, angles, adjacent)
-            np.arctan2(angles, adjacent, out=angles)
-            _hold_within_bounds(poses, angles, *within)
-        _to_world(poses, *observation.frame, motions[first * BLOCK : last * BLOCK])
+        """The motions from one to another, a block at a time: it stays in the processor's cache."""
+        block, poses = np.zeros((draws.shape[0], BLOCK)), np.empty((steps, 18 * BLOCK))
+        angles, adjacent = np.empty((2, steps, 8 * BLOCK))
+        for start in range(first, last, BLOCK):
+            part = draws[:, start : min(start + BLOCK, last)]
+            block[:, : part.shape[1]] = part
+            np.matmul(factor.reshape(steps, 18, -1), block, out=poses.reshape(steps, 18, BLOCK))
+            if farthest is not None:
+                _hold_near(poses, 1.0 / farthest**2)
+            poses.reshape(steps, 18, BLOCK)[:] += mean.reshape(steps, 18, 1)
+            if within is not None:
+                _arm_triangles(poses, angles, adjacent)
+                np.arctan2(angles, adjacent, out=angles)
+                _hold_within_bounds(poses, angles, *within)
+            _to_world(poses, *observation.frame, motions[start : start + part.shape[1]])
 
-    if len(drawn) == 1:
-        fill(0, 1)
+    half = BLOCK * (samples // (2 * BLOCK))
+    if half == 0:
+        fill(0, samples)
     else:
-        half = _helper(os.getpid()).submit(fill, 0, len(drawn) // 2)
-        fill(len(drawn) // 2, len(drawn))
-        half.result()
+        helper = _helper(os.getpid()).submit(fill, 0, half)
+        fill(half, samples)
+        helper.result()
     return motions
 
 
@@ -103,80 +104,78 @@ def _helper(_process: int) -> ThreadPoolExecutor:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _hold_near(departures: Float[np.ndarray, "T B 18*C"], weight: Float[np.ndarray, "T 6"]) -> None:
+def _hold_near(departures: Float[np.ndarray, "T 18*C"], weight: Float[np.ndarray, "T 6"]) -> None:
     """Whole departures from the mean, changed in place: times (1 + r⁸)^(-1/8), r the largest share of what is allowed.
 
     `weight` is one over the square of how far each joint may be [1/m²].
     """
-    for b in range(departures.shape[1]):
-        largest = np.zeros(BLOCK)
-        for t in range(departures.shape[0]):
-            p = departures[t, b]
-            for j in range(6):
-                for c in range(BLOCK):
-                    i = 3 * j * BLOCK + c
-                    square = p[i] * p[i] + p[i + BLOCK] * p[i + BLOCK] + p[i + 2 * BLOCK] * p[i + 2 * BLOCK]
-                    largest[c] = max(largest[c], square * weight[t, j])
-        for c in range(BLOCK):
-            largest[c] = (1.0 + largest[c] ** 4) ** -0.125
-        for t in range(departures.shape[0]):
-            for k in range(18):
-                for c in range(BLOCK):
-                    departures[t, b, k * BLOCK + c] *= largest[c]
+    largest = np.zeros(BLOCK)
+    for t in range(departures.shape[0]):
+        p = departures[t]
+        for j in range(6):
+            for c in range(BLOCK):
+                i = 3 * j * BLOCK + c
+                square = p[i] * p[i] + p[i + BLOCK] * p[i + BLOCK] + p[i + 2 * BLOCK] * p[i + 2 * BLOCK]
+                largest[c] = max(largest[c], square * weight[t, j])
+    for c in range(BLOCK):
+        largest[c] = (1.0 + largest[c] ** 4) ** -0.125
+    for t in range(departures.shape[0]):
+        for k in range(18):
+            for c in range(BLOCK):
+                departures[t, k * BLOCK + c] *= largest[c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _arm_triangles(
-    poses: Float[np.ndarray, "T B 18*C"],
-    opposite: Float[np.ndarray, "T B 8*C"],
-    adjacent: Float[np.ndarray, "T B 8*C"],
+    poses: Float[np.ndarray, "T 18*C"],
+    opposite: Float[np.ndarray, "T 8*C"],
+    adjacent: Float[np.ndarray, "T 8*C"],
 ) -> None:
     """θ1 … θ4 of the left and the right arm (kinecast.body.posture) as sides of right-angled triangles.
 
     The angles arctan(opposite / adjacent) lie within half a turn of 0; an undefined one is NaN.
     """
     for t in range(poses.shape[0]):
-        for b in range(poses.shape[1]):
-            p, up, along = poses[t, b], opposite[t, b], adjacent[t, b]
-            for arm in range(2):
-                side = 1.0 - 2.0 * arm
-                at, k = 9 * BLOCK * arm, 4 * BLOCK * arm
-                for c in range(BLOCK):
-                    x, y, z = (
-                        p[c] - p[9 * BLOCK + c],
-                        p[BLOCK + c] - p[10 * BLOCK + c],
-                        p[2 * BLOCK + c] - p[11 * BLOCK + c],
-                    )
-                    level = math.sqrt(x * x + y * y)
-                    width = math.sqrt(level * level + z * z)
-                    sy, cy, sr, cr = -x / level, y / level, z / width, level / width
-                    i = at + c
-                    ex, ey, ez = p[i + 3 * BLOCK], p[i + 4 * BLOCK], p[i + 5 * BLOCK]
-                    ux, uy, uz = ex - p[i], ey - p[i + BLOCK], ez - p[i + 2 * BLOCK]
-                    fx, fy, fz = p[i + 6 * BLOCK] - ex, p[i + 7 * BLOCK] - ey, p[i + 8 * BLOCK] - ez
-                    ahead = cy * uy - sy * ux
-                    ux, uy, uz = cy * ux + sy * uy, side * (cr * ahead + sr * uz), cr * uz - sr * ahead
-                    ahead = cy * fy - sy * fx
-                    fx, fy, fz = cy * fx + sy * fy, side * (cr * ahead + sr * fz), cr * fz - sr * ahead
-                    swing = math.sqrt(ux * ux + uz * uz)
-                    bone = math.sqrt(swing * swing + uy * uy)
-                    s1, c1, s2, c2 = ux / swing, -uz / swing, uy / bone, swing / bone
-                    flexed, ahead = fx * s1 - fz * c1, fx * c1 + fz * s1
-                    outward = c2 * fy - s2 * flexed
-                    j = k + c
-                    up[j], along[j] = ux, -uz
-                    up[j + BLOCK], along[j + BLOCK] = uy, swing
-                    up[j + 2 * BLOCK], along[j + 2 * BLOCK] = outward, ahead
-                    up[j + 3 * BLOCK] = math.sqrt(ahead * ahead + outward * outward)
-                    along[j + 3 * BLOCK] = c2 * flexed + s2 * fy
+        p, up, along = poses[t], opposite[t], adjacent[t]
+        for arm in range(2):
+            side = 1.0 - 2.0 * arm
+            at, k = 9 * BLOCK * arm, 4 * BLOCK * arm
+            for c in range(BLOCK):
+                x, y, z = (
+                    p[c] - p[9 * BLOCK + c],
+                    p[BLOCK + c] - p[10 * BLOCK + c],
+                    p[2 * BLOCK + c] - p[11 * BLOCK + c],
+                )
+                level = math.sqrt(x * x + y * y)
+                width = math.sqrt(level * level + z * z)
+                sy, cy, sr, cr = -x / level, y / level, z / width, level / width
+                i = at + c
+                ex, ey, ez = p[i + 3 * BLOCK], p[i + 4 * BLOCK], p[i + 5 * BLOCK]
+                ux, uy, uz = ex - p[i], ey - p[i + BLOCK], ez - p[i + 2 * BLOCK]
+                fx, fy, fz = p[i + 6 * BLOCK] - ex, p[i + 7 * BLOCK] - ey, p[i + 8 * BLOCK] - ez
+                ahead = cy * uy - sy * ux
+                ux, uy, uz = cy * ux + sy * uy, side * (cr * ahead + sr * uz), cr * uz - sr * ahead
+                ahead = cy * fy - sy * fx
+                fx, fy, fz = cy * fx + sy * fy, side * (cr * ahead + sr * fz), cr * fz - sr * ahead
+                swing = math.sqrt(ux * ux + uz * uz)
+                bone = math.sqrt(swing * swing + uy * uy)
+                s1, c1, s2, c2 = ux / swing, -uz / swing, uy / bone, swing / bone
+                flexed, ahead = fx * s1 - fz * c1, fx * c1 + fz * s1
+                outward = c2 * fy - s2 * flexed
+                j = k + c
+                up[j], along[j] = ux, -uz
+                up[j + BLOCK], along[j + BLOCK] = uy, swing
+                up[j + 2 * BLOCK], along[j + 2 * BLOCK] = outward, ahead
+                up[j + 3 * BLOCK] = math.sqrt(ahead * ahead + outward * outward)
+                along[j + 3 * BLOCK] = c2 * flexed + s2 * fy
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _hold_within_bounds(
-    poses: Float[np.ndarray, "T B 18*C"],
-    angles: Float[np.ndarray, "T B 8*C"],
+    poses: Float[np.ndarray, "T 18*C"],
+    angles: Float[np.ndarray, "T 8*C"],
     initial: Float[np.ndarray, "8"],
     bones: Float[np.ndarray, "4"],
     within: Float[np.ndarray, "3 8"],
@@ -192,48 +191,46 @@ def _hold_within_bounds(
         within: lower and upper end of each range, farthest that an angle goes in a step [rad].
         wrist_reach: farthest that a wrist goes relative to the torso in a step [m]; infinite for none.
     """
-    blocks, (lower, upper, reach) = poses.shape[1], within
-    last = np.empty((blocks, 8 * BLOCK))
-    for b in range(blocks):
-        for i in range(8 * BLOCK):
-            last[b, i] = initial[i // BLOCK]
+    lower, upper, reach = within
+    before = np.empty(8 * BLOCK)
+    for i in range(8 * BLOCK):
+        before[i] = initial[i // BLOCK]
     held = np.empty(BLOCK, dtype=np.bool_)
     for t in range(poses.shape[0]):
-        for b in range(blocks):
-            p, angle, before = poses[t, b], angles[t, b], last[b]
-            for arm in range(2):
-                a = 4 * arm
+        p, angle = poses[t], angles[t]
+        for arm in range(2):
+            a = 4 * arm
+            for c in range(BLOCK):
+                held[c] = wrist_reach == np.inf
+            for k in range(a, a + 4):
+                low, high, far = lower[k], upper[k], reach[k]
                 for c in range(BLOCK):
-                    held[c] = wrist_reach == np.inf
-                for k in range(a, a + 4):
-                    low, high, far = lower[k], upper[k], reach[k]
-                    for c in range(BLOCK):
-                        value = angle[k * BLOCK + c]
-                        near = math.fabs(value - before[k * BLOCK + c]) <= far
-                        held[c] &= near & (low <= value) & (value <= high)
-                for c in range(BLOCK):
-                    i1, i2, i3, i4 = a * BLOCK + c, (a + 1) * BLOCK + c, (a + 2) * BLOCK + c, (a + 3) * BLOCK + c
-                    if not held[c]:
-                        _turn_to(angle, before, i1, i2, i3, i4)
-                        levers = (0.0, 0.0, 0.0, 0.0)
-                        if wrist_reach != np.inf:
-                            upper_arm, forearm = bones[2 * arm], bones[2 * arm + 1]
-                            if t > 0:
-                                upper_arm, forearm = _bones(poses[t - 1, b], arm, c)
-                            held_at = (before[i1], before[i2], before[i3], before[i4])
-                            levers = wrist_levers(held_at, upper_arm, forearm)
-                        changed = False
-                        for k in range(a, a + 4):
-                            i, far = k * BLOCK + c, reach[k]
-                            if far * levers[k - a] > wrist_reach:
-                                far = wrist_reach / levers[k - a]
-                            lb, ub = bounds(lower[k] + INSIDE, upper[k] - INSIDE, far, before[i], 1.0)
-                            if not lb <= angle[i] <= ub:
-                                angle[i] = min(max(angle[i], lb), ub)
-                                changed = True
-                        if changed:
-                            _place_arm(p, angle, i1, i2, i3, i4, arm, c)
-                    before[i1], before[i2], before[i3], before[i4] = angle[i1], angle[i2], angle[i3], angle[i4]
+                    value = angle[k * BLOCK + c]
+                    near = math.fabs(value - before[k * BLOCK + c]) <= far
+                    held[c] &= near & (low <= value) & (value <= high)
+            for c in range(BLOCK):
+                i1, i2, i3, i4 = a * BLOCK + c, (a + 1) * BLOCK + c, (a + 2) * BLOCK + c, (a + 3) * BLOCK + c
+                if not held[c]:
+                    _turn_to(angle, before, i1, i2, i3, i4)
+                    levers = (0.0, 0.0, 0.0, 0.0)
+                    if wrist_reach != np.inf:
+                        upper_arm, forearm = bones[2 * arm], bones[2 * arm + 1]
+                        if t > 0:
+                            upper_arm, forearm = _bones(poses[t - 1], arm, c)
+                        held_at = (before[i1], before[i2], before[i3], before[i4])
+                        levers = wrist_levers(held_at, upper_arm, forearm)
+                    changed = False
+                    for k in range(a, a + 4):
+                        i, far = k * BLOCK + c, reach[k]
+                        if far * levers[k - a] > wrist_reach:
+                            far = wrist_reach / levers[k - a]
+                        lb, ub = bounds(lower[k] + INSIDE, upper[k] - INSIDE, far, before[i], 1.0)
+                        if not lb <= angle[i] <= ub:
+                            angle[i] = min(max(angle[i], lb), ub)
+                            changed = True
+                    if changed:
+                        _place_arm(p, angle, i1, i2, i3, i4, arm, c)
+                before[i1], before[i2], before[i3], before[i4] = angle[i1], angle[i2], angle[i3], angle[i4]
 
 
 @njit(cache=True, error_model="numpy")
@@ -282,18 +279,17 @@ def _place_arm(p: np.ndarray, angle: np.ndarray, i1: int, i2: int, i3: int, i4: 
 @njit(cache=True, nogil=True)
 @no_type_check
 def _to_world(
-    poses: Float[np.ndarray, "T B 18*C"],
+    poses: Float[np.ndarray, "T 18*C"],
     rotation: Float[np.ndarray, "3 3"],
     origin: Float[np.ndarray, "3"],
     motions: Float[np.ndarray, "S T 6 3"],
 ) -> None:
     """Motions of the torso frame, in blocks, as positions in the world."""
     for s in range(motions.shape[0]):
-        b, c = s // BLOCK, s % BLOCK
         for t in range(motions.shape[1]):
-            p, out = poses[t, b], motions[s, t]
+            p, out = poses[t], motions[s, t]
             for j in range(6):
-                at = 3 * j * BLOCK + c
+                at = 3 * j * BLOCK + s
                 x, y, z = p[at], p[at + BLOCK], p[at + 2 * BLOCK]
                 for a in range(3):
                     out[j, a] = origin[a] + rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z

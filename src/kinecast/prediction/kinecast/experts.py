@@ -191,9 +191,11 @@ class Networks(Arrays):
     """G small networks on the same features: h = silu(x W1 + b1); h += silu(h W2 + b2);
     coefficients = h W3 + b3 + x' A, x' without the levels.
 
-    Each knows another world: all collections as they are, all with the faults of poor sensors, or one alone.
+    Each knows another world: all collections as they are, all with the faults of poor sensors, or one alone. Their
+    weights take most of a model's room, and are kept in single precision, as they were trained.
     """
 
+    PRECISION = np.float32
     scale: FeatureScale
     W1: Float[np.ndarray, "G D U"]
     b1: Float[np.ndarray, "G 1 U"]
@@ -208,14 +210,10 @@ class Networks(Arrays):
 
     def coefficients(self, features: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "G V C"]:
         """(G, V, C) of the time basis, from the features of views."""
+        features = features.astype(self.W1.dtype)
         hidden = _silu(features @ self.W1 + self.b1)
         hidden = hidden + _silu(hidden @ self.W2 + self.b2)
         return hidden @ self.W3 + self.b3 + features[:, : self.A.shape[1]] @ self.A
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """See Arrays; weights in single precision, as they were trained."""
-        arrays = super().to_arrays()
-        return {name: a if name.startswith("scale.") else a.astype(np.float32) for name, a in arrays.items()}
 
     def take(self, which: Sequence[int]) -> Networks:
         """Some of the networks."""

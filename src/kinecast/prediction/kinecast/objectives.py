@@ -79,7 +79,7 @@ def fit_network(
         _network_loss(basis), start, (features, amplitude, target),
         steps=steps, batch=256, rate=2e-3, decay=1e-3, second=0.999, seed=seed,
     )  # fmt: skip
-    return Networks(scale, *(array[None] for array in fitted))
+    return Networks(scale, *(array[None].astype(Networks.PRECISION) for array in fitted))
 
 
 def _network_loss(basis: Float[np.ndarray, "T K"]):  # type: ignore[no-untyped-def]
