@@ -58,6 +58,8 @@ TRAINED = 1.0
 """Horizon that methods are trained for [s]; half of it is scored."""
 RECORDINGS = 240
 """Most recordings of a set that are scored, unless it has more pairs of subject and task."""
+SEED = 0
+"""Of the windows that are scored."""
 FITTED = 40_000
 """Most windows that baselines are fitted on: every n-th."""
 
@@ -138,13 +140,23 @@ def spread(recordings: Sequence[Recording], most: int = RECORDINGS) -> list[Reco
 
 
 def scored_on(found: Sequence[Recording], windows: int) -> tuple[list[TestRecording], dict[str, Any]]:
-    """At most about so many windows, evenly from recordings spread over subjects and tasks; how they were chosen."""
+    """So many windows, drawn from all of recordings spread over subjects and tasks; how they were chosen.
+
+    Drawn by chance: every n-th would take the first window of every recording, of somebody not yet followed, and of
+    short recordings little else.
+    """
     chosen = spread(found)
-    frames = sum(max(recording.duration * OPTIONS.rate - OPTIONS.predicted_steps, 0.0) for recording in chosen)
-    options = replace(OPTIONS, stride=max(1, round(frames / windows)))
-    recordings = TestRecording.of(chosen, options)
-    count = sum(len(each.observations) for each in recordings)
-    about = {"windows": count, "stride": options.stride, "recordings": len(recordings), "recordings_of": len(found)}
+    every = TestRecording.of(chosen, replace(OPTIONS, stride=1))
+    ends = np.cumsum([len(each.frames) for each in every])
+    drawn = np.random.default_rng(SEED).choice(ends[-1], min(windows, ends[-1]), replace=False)
+    parts = zip(every, np.split(np.sort(drawn), np.searchsorted(np.sort(drawn), ends[:-1])), ends, strict=True)
+    recordings = []
+    for each, rows, end in parts:
+        rows = rows - (end - len(each.frames))
+        if len(rows):
+            recordings.append(replace(each, future=each.future[rows], frames=each.frames[rows]))
+    about = {"windows": len(drawn), "windows_of": int(ends[-1]), "recordings": len(recordings)}
+    about["recordings_of"] = len(found)
     return recordings, about | ({"names": [r.name for r in recordings]} if len(chosen) < len(found) else {})
 
 
@@ -159,7 +171,8 @@ def score(
         truths |= {id(seen): recording.future[rows[at]] for at, seen, _ in recording.history if at in rows}
     watched = Watched(method, OPTIONS.predicted_steps, truths, motions)
     results, _ = evaluate({"it": watched}, recordings, None, options)
-    entry = {name: results["methods"]["it"][name] for name in KEPT} | summary(watched.notes)
+    since = np.concatenate([r.frames - r.history[0][0] for r in recordings]) * method.dt
+    entry = {name: results["methods"]["it"][name] for name in KEPT} | summary(watched.notes, since)
     entry["violations_of_truth"] = results["ground_truth_violations"]
     if motions:
         owner = np.concatenate([np.full(len(r.observations), k) for k, r in enumerate(recordings)])
@@ -257,7 +270,7 @@ def main() -> None:
     parser.add_argument("--models", type=Path, help="folder of trained models")
     parser.add_argument("--old", type=Path, help="file of one more model")
     parser.add_argument("--motions", action="store_true", help="hold drawn motions beside true ones")
-    parser.add_argument("--windows", type=int, default=1500, help="most windows a set, about")
+    parser.add_argument("--windows", type=int, default=1500, help="windows of each set")
     parser.add_argument("--samples", type=int, default=1000)
     parser.add_argument("--out", type=Path, default=RESULTS / "generalisation.json")
     parser.add_argument("--table", action="store_true", help="only print what the results hold")

@@ -25,7 +25,9 @@ from kinecast.types import LIMBS, Density, Prediction, Tubes
 SPEEDS = {"rest": (0.0, 0.05), "slow": (0.05, 0.3), "fast": (0.3, np.inf)}
 """A joint's mean speed over what is seen [m/s]."""
 BY_SPEED = (0.5, 0.9)
-"""Levels at which coverage is told by speed."""
+"""Levels at which coverage is told by speed and by how long somebody was followed."""
+SINCE = {"at first": (0.0, 0.5), "later": (0.5, np.inf)}
+"""For how long somebody had been followed when a forecast was made [s]."""
 TUBES = (0.99, 0.999)
 REACH = 1.6
 """Speed at which a person comes near by ISO 13855 [m/s]."""
@@ -62,6 +64,7 @@ class Note(NamedTuple):
 
     Attributes:
         speed: (6,) mean speed of each joint over what is seen [m/s].
+        error: (T, 6) distance from the mean of the drawn motions to the truth [m], NaN where that is missing.
         inside: (2, T, 6) whether its region at `BY_SPEED` holds the truth, NaN where that is missing.
         held: (3, T, 4) whether each limb lies in its tube at `TUBES` and in ISO 13855's reach, NaN where it is missing.
         litres: (3, T, 4) volumes of these.
@@ -70,6 +73,7 @@ class Note(NamedTuple):
     """
 
     speed: np.ndarray
+    error: np.ndarray
     inside: np.ndarray
     held: np.ndarray
     litres: np.ndarray
@@ -136,7 +140,8 @@ def note(samples: np.ndarray, observation: Observation, truth: np.ndarray, kept:
     paths = np.concatenate([np.broadcast_to(seen[-3:, WRISTS], (len(ahead), 3, 2, 3)), ahead], axis=1)
     held = np.stack([limbs_held(tube, truth) for tube in tubes])
     litres = np.stack([1e3 * volume(tube) for tube in tubes])
-    return Note(speed, np.where(scored(truth), inside, np.nan), held, litres, paths)
+    error = np.linalg.norm(mean - truth, axis=-1)
+    return Note(speed, error, np.where(scored(truth), inside, np.nan), held, litres, paths)
 
 
 def reach(observation: Observation, steps: int) -> Tubes:
@@ -165,9 +170,11 @@ def volume(tubes: Tubes) -> np.ndarray:
     return np.pi * tubes.radius**2 * (length + 4.0 / 3.0 * tubes.radius)
 
 
-def summary(notes: Sequence[Note]) -> dict[str, Any]:
-    """Coverage by speed; tubes: shares of limbs, arms and whole motions held, and litres a limb at the end."""
-    speed, inside, held, litres = (np.array(values) for values in list(zip(*notes, strict=True))[:4])
+def summary(notes: Sequence[Note], since: np.ndarray) -> dict[str, Any]:
+    """Coverage by speed; error and coverage by how long somebody was followed, (W,) `since` [s]; tubes: shares of
+    limbs, arms and whole motions held, and litres a limb at the end.
+    """
+    speed, error, inside, held, litres = (np.array(values) for values in list(zip(*notes, strict=True))[:5])
     by_speed = {}
     for name, (least, most) in SPEEDS.items():
         here = (least <= speed) & (speed < most)
@@ -183,7 +190,13 @@ def summary(notes: Sequence[Note]) -> dict[str, Any]:
             "litres": {"mean": mean(final), "median": float(np.median(final))},
             "median_share_of_reach": float(np.median(final / allowed)),
         }
-    return {"coverage_by_speed": by_speed, "tubes": tubes}
+    followed = {}
+    for name, (least, most) in SINCE.items():
+        here = (least <= since) & (since < most)
+        values = {str(v): mean(inside[here, k]) for k, v in enumerate(BY_SPEED)}
+        wrong = mean(error[here])
+        followed[name] = {"windows": int(here.sum()), "mpjpe_mm": None if wrong is None else 1e3 * wrong, **values}
+    return {"coverage_by_speed": by_speed, "followed": followed, "tubes": tubes}
 
 
 def mean(values: np.ndarray) -> float | None:

@@ -42,6 +42,20 @@ def test_recordings_are_spread_over_subjects_and_tasks() -> None:
     assert generalisation.spread(many, 60) == many
 
 
+def test_windows_are_drawn_from_all_frames_of_all_recordings() -> None:
+    many = generate(SyntheticOptions(subjects=2, recordings=10, duration=4.0), seed=0)
+    recordings, about = generalisation.scored_on(many, 60)
+    frames = np.concatenate([each.frames for each in recordings])
+    assert about["windows"] == len(frames) == 60
+    assert np.mean(frames == 5) < 0.1  # a stride would begin every recording with its first window
+    whole, _ = generalisation.scored_on(many, 10**6)
+    assert sum(len(each.frames) for each in whole) == about["windows_of"]
+    truth = {(each.name, at): future for each in whole for at, future in zip(each.frames, each.future, strict=True)}
+    for each in recordings:
+        for at, future in zip(each.frames, each.future, strict=True):
+            np.testing.assert_array_equal(future, truth[each.name, at])
+
+
 def test_a_longer_prediction_is_cut_and_keeps_its_density() -> None:
     _, method = read_shipped("zero_velocity")
     truth = np.tile(STANDING, (5, 1, 1)) + 0.01
@@ -54,7 +68,9 @@ def test_a_longer_prediction_is_cut_and_keeps_its_density() -> None:
     np.testing.assert_allclose(forecast.density.log_prob(truth), whole.density.log_prob(padded)[:5])
     [note] = watched.notes
     assert note.paths.shape == (1 + generalisation_scores.DRAWN, 3 + 5, 2, 3)
-    found = generalisation_scores.summary(watched.notes)
+    found = generalisation_scores.summary(watched.notes, np.array([0.2]))
+    assert found["followed"]["at first"]["mpjpe_mm"] == pytest.approx(1e3 * note.error.mean())
+    assert [found["followed"][name]["windows"] for name in ("at first", "later")] == [1, 0]
     assert [found["coverage_by_speed"][name]["joints"] for name in ("rest", "slow", "fast")] == [6, 0, 0]
     assert found["tubes"]["reach"]["motions"] == 1.0
     with pytest.raises(OptionError, match="steps"):
