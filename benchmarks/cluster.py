@@ -37,7 +37,7 @@ from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evalua
 from kinecast.pipeline import training_windows
 from kinecast.prediction.kinecast.experts import FeatureScale, arm_views
 from kinecast.prediction.methods import train
-from kinecast.prediction.observation import TrainingWindows
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Serial
 
 METHODS = "zero_velocity,constant_velocity,damped_velocity,kalman,ridge,kinecast"

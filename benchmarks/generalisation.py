@@ -35,8 +35,7 @@ from kinecast.pipeline import training_windows
 from kinecast.prediction.gaussian import PositionGaussian
 from kinecast.prediction.linear import damped
 from kinecast.prediction.method import Method
-from kinecast.prediction.methods import limits_of, read_method, train
-from kinecast.prediction.noise import sensor_noise
+from kinecast.prediction.methods import read_method, train
 
 VICON, HA4M = "human_robot_animations", "ha4m_features_demo/UpSkel"
 TASKS = ("CollaborativeHammering", "CollaborativeLifting", "CollaborativeStacking", "HumanRobotHandover",
@@ -121,10 +120,10 @@ def fit(names: Sequence[str], recordings: Sequence[Recording]) -> Trained:
         velocity = np.zeros(frames)
         velocity[[-1, -3]] = 0.5, -0.5  # the last two intervals, as for constant velocity
         fading = damped(velocity, -1.0 / np.log(FADES), steps)
-        methods["damped_085"] = PositionGaussian.fit(lambda *_: fading, some, sensor_noise(some))
+        methods["damped_085"] = PositionGaussian.fit(lambda *_: fading, some, some.noise)
     if "kinecast" in names:
         methods |= train(["kinecast"], data)
-    return Trained(methods, limits_of(data), (len(data), len(some)), time.perf_counter() - started)
+    return Trained(methods, data.limits, (len(data), len(some)), time.perf_counter() - started)
 
 
 def spread(recordings: Sequence[Recording], most: int = RECORDINGS) -> list[Recording]:

@@ -20,7 +20,8 @@ from scipy.stats import truncnorm
 
 from kinecast.body.limits import JointLimits
 from kinecast.body.posture import ANGLES, LEFT_ARM, postures_from_points
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.training_windows import TrainingWindows
 
 try:
     from pyswarms.single import GlobalBestPSO

@@ -34,8 +34,8 @@ from kinecast.geometry.shapes import Box, ConstantVelocity, MovingObstacle
 from kinecast.pipeline import frames, training_windows
 from kinecast.prediction.method import Method
 from kinecast.prediction.methods import shipped_methods, train
-from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PostureSeries
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.track import Track
 
 TRAINED = ("constant_velocity", "kalman", "ridge", "kalman_constrained", "ridge_constrained")

@@ -15,7 +15,7 @@ from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import training_windows
-from kinecast.prediction.methods import card_of, limits_of, save_method, train
+from kinecast.prediction.methods import card_of, save_method, train
 
 METHODS = ("zero_velocity", "damped_velocity", "ridge", "ridge_constrained")
 
@@ -30,7 +30,7 @@ def main() -> None:
 
     data = training_windows(known, windows, scene)
     methods = train(METHODS, data)
-    limits = limits_of(data)
+    limits = data.limits
     print(f"trained on {len(data)} windows of {len(known)} people, tested on synthetic-3\n")
 
     # Methods that learn from the person in view are shown every frame; scores are taken at every tenth.

@@ -18,8 +18,6 @@ from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import training_windows
 from kinecast.prediction.gaussian import PostureGaussian
-from kinecast.prediction.methods import limits_of
-from kinecast.prediction.noise import sensor_noise
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def main() -> None:
     *known, unknown = generate(people, seed=1)  # one recording of each person
     windows = WindowOptions(stride=10)
     data = training_windows(known, windows, scene)
-    limits, noise = limits_of(data), sensor_noise(data)
+    limits, noise = data.limits, data.noise
 
     methods = {
         "free": PostureGaussian.fit(NearestNeighbours.fit, data, noise, None),

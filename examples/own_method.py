@@ -17,7 +17,8 @@ from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.pipeline import training_windows
 from kinecast.prediction.method import Forecast, Memoryless
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.training_windows import TrainingWindows
 
 
 @dataclass(frozen=True)

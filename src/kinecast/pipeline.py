@@ -13,7 +13,8 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions, Windows, all_windows
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.predictor import Predictor
 from kinecast.tasks import Progress, Workers
 from kinecast.types import Prediction, SkeletonFrame

@@ -36,7 +36,7 @@ from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows
 from kinecast.prediction.kinecast.model import Kinecast, ablations
 from kinecast.prediction.method import Method, shortened
-from kinecast.prediction.methods import SHIPPED, check_names, limits_of, read_method
+from kinecast.prediction.methods import SHIPPED, check_names, read_method
 from kinecast.prediction.methods import train as train_all
 from kinecast.prediction.plugins import is_plugin, train_plugin
 from kinecast.tasks import Serial, Workers
@@ -194,7 +194,7 @@ def train_methods(
     with progress_bar("training") as progress:
         found |= train_all([name for name in names if name not in found], data, seed, progress, workers)
     methods = {name: found[name] for name in names}
-    return Compared(methods, limits_of(data), [recording.name for recording in recordings], options, {})
+    return Compared(methods, data.limits, [recording.name for recording in recordings], options, {})
 
 
 def read_models(paths: Sequence[Path], told: Mapping[str, Any]) -> Compared:

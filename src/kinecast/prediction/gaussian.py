@@ -26,9 +26,10 @@ from kinecast.prediction.linear import MeanModel, mean_from_arrays
 from kinecast.prediction.method import Forecast, Memoryless
 from kinecast.prediction.model_file import ModelCard, shaped
 from kinecast.prediction.noise import coordinate_noise
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
 from kinecast.prediction.rollout import hold
 from kinecast.prediction.sampling import sample_motions
+from kinecast.prediction.training_windows import TrainingWindows
 
 G = TypeVar("G", bound="_Gaussian")
 Square: TypeAlias = Float[np.ndarray, "K K"]

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from kinecast.body.limits import JointLimits
-from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.gaussian import PositionGaussian, PostureGaussian
 from kinecast.prediction.kinecast.model import kinecast_from_arrays
@@ -20,10 +18,9 @@ from kinecast.prediction.linear import MeanModel, constant_velocity, damped_velo
 from kinecast.prediction.method import Method
 from kinecast.prediction.mixer import fit_mixer
 from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
-from kinecast.prediction.noise import sensor_noise
-from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.paper import PositionSeries, PostureSeries
 from kinecast.prediction.plugins import is_plugin, load_plugin
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Progress, Serial, Workers, scatter
 
 METHODS: Mapping[str, str] = {
@@ -82,7 +79,7 @@ def train(
     if len(windows) < 50:
         raise ModelError(f"{len(windows)} training windows; at least 50 are needed")
     workers = workers or Serial()
-    noise, limits, data = sensor_noise(windows), limits_of(windows), workers.submit(scatter, windows)
+    noise, limits, data = windows.noise, windows.limits, workers.submit(scatter, windows)
 
     @cache
     def fitting(name: str) -> Any:
@@ -108,12 +105,6 @@ def _fit_gaussian(kind: Any, fit: Any, windows: TrainingWindows, noise: float) -
     return kind.fit(fit, windows, noise)
 
 
-def limits_of(windows: TrainingWindows) -> JointLimits:
-    """Limits whose ranges are widened to hold the postures trained on: markers are not always at the joints."""
-    last = [postures_from_points(block.points, continuous=True)[:, -1] for block in windows.blocks()]
-    return JointLimits().widened(np.concatenate(last))
-
-
 def card_of(
     name: str,
     method: Method[Any],
@@ -129,8 +120,8 @@ def card_of(
         frames=method.frames,
         steps=method.steps,
         rate=1.0 / method.dt,
-        limits=limits_of(windows),
-        noise=sensor_noise(windows),
+        limits=windows.limits,
+        noise=windows.noise,
         trained_on=tuple(trained_on),
         windows=len(windows),
         label=label,

@@ -1,28 +1,12 @@
-"""Measurement noise: how large it is in a recording, and what it does to posture coordinates."""
+"""What noise on the joints does to posture coordinates."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.prediction.observation import TrainingWindows
-
 LEAST_SINE = 0.02
 """Near a degenerate pose an angle's noise stops growing here."""
-
-
-def sensor_noise(windows: TrainingWindows) -> float:
-    """Spread of a measured joint about the true one [m], from what changes too fast to be motion.
-
-    The third difference of a smooth motion at 30 Hz is small; white noise of spread σ gives one of spread
-    σ √20. The median over windows of a robust (median absolute deviation) spread is taken.
-    """
-    spreads = []
-    for block in windows.blocks():
-        tracks = np.concatenate([block.observed, block.future], axis=1)
-        spreads.append(np.median(np.abs(np.diff(tracks, n=3, axis=1)), axis=(1, 2, 3)))
-    # 1.4826: from median absolute deviation to standard deviation of a normal.
-    return float(max(1.4826 * np.median(np.concatenate(spreads)) / np.sqrt(20.0), 1e-4))
 
 
 def angle_noise(arm: Float[np.ndarray, "*b 6"], noise: Float[np.ndarray, "*#b 3"]) -> Float[np.ndarray, "*b 4"]:

@@ -23,7 +23,7 @@ from kinecast.prediction.gaussian import posture_examples
 from kinecast.prediction.method import Forecast, Memoryless
 from kinecast.prediction.model_file import ModelCard, shaped
 from kinecast.prediction.noise import coordinate_noise
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
 from kinecast.prediction.rollout import (
     BONES,
     RELATIVE,
@@ -34,6 +34,7 @@ from kinecast.prediction.rollout import (
     roll_series,
 )
 from kinecast.prediction.sparse_gp import SparseGPs, fit_sparse_gp
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Workers
 
 PSEUDO_INPUTS, POINTS, ITERATIONS = 16, 2000, 100

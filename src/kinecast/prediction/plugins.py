@@ -16,7 +16,8 @@ import numpy as np
 
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.method import Forecast, Method
-from kinecast.prediction.observation import STANDING, Observation, TrainingWindows
+from kinecast.prediction.observation import STANDING, Observation
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import CARRIED
 
 NAME = re.compile(r"[\w.]+:[^\W\d]\w*")

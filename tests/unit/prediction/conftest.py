@@ -16,7 +16,8 @@ from kinecast.pipeline import training_windows
 from kinecast.prediction import paper
 from kinecast.prediction.method import Method
 from kinecast.prediction.methods import METHODS, train
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.training_windows import TrainingWindows
 
 OWN = ("kinecast", "mixer", "mixer_constrained")
 UP = np.array([0.0, 0.0, 1.0])

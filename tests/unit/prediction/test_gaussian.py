@@ -24,7 +24,8 @@ from kinecast.prediction.gaussian import (
 )
 from kinecast.prediction.linear import zero_velocity
 from kinecast.prediction.method import Method, forecast_in_scene
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.training_windows import TrainingWindows
 
 SAMPLES = 400
 

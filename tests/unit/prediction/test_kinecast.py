@@ -46,7 +46,8 @@ from kinecast.prediction.kinecast.weights import (
 )
 from kinecast.prediction.method import forecast_in_scene, shortened
 from kinecast.prediction.model_file import ModelCard
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Progress, Serial
 
 SWAP = [3, 4, 5, 0, 1, 2]

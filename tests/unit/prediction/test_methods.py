@@ -17,13 +17,12 @@ from kinecast.prediction.methods import (
     SHIPPED,
     card_of,
     check_names,
-    limits_of,
     shipped_methods,
     train,
 )
-from kinecast.prediction.noise import sensor_noise
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
 from kinecast.prediction.paper import PositionSeries, PostureSeries
+from kinecast.prediction.training_windows import TrainingWindows
 
 
 def test_every_name_makes_its_method(trained: dict[str, Method[Any]], windows: TrainingWindows) -> None:
@@ -45,10 +44,10 @@ def test_every_name_makes_its_method(trained: dict[str, Method[Any]], windows: T
 def test_constrained_methods_hold_limits_widened_to_the_training_postures(
     trained: dict[str, Method[Any]], windows: TrainingWindows
 ) -> None:
-    limits = limits_of(windows)
+    limits = windows.limits
     for name in ("kalman_constrained", "ridge_constrained", "gp_constrained"):
         assert trained[name].limits == limits
-        assert trained[name].noise == sensor_noise(windows)
+        assert trained[name].noise == windows.noise
     postures = postures_from_points(windows.points, continuous=True)[:, -1]
     elbows = postures[:, [9, 15]]
     wide = JointLimits(elbow=AngleLimit(1.0, 1.01, 12.0)).widened(postures).elbow
@@ -110,7 +109,7 @@ def test_a_card_says_what_the_model_is(trained: dict[str, Method[Any]], windows:
     assert card.dt == pytest.approx(windows.dt)
     assert card.windows == len(windows)
     assert (card.label, card.trained_on, card.notes) == ("reaching", ("a",), ("MIT",))
-    assert card.limits == limits_of(windows)
+    assert card.limits == windows.limits
 
 
 def test_the_shipped_models_can_be_read_and_predict() -> None:

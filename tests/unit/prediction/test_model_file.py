@@ -22,7 +22,8 @@ from kinecast.prediction import model_file
 from kinecast.prediction.method import Method, forecast_in_scene
 from kinecast.prediction.methods import card_of, read_method, save_method
 from kinecast.prediction.model_file import ModelCard, read_model_file, write_model_file
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
+from kinecast.prediction.training_windows import TrainingWindows
 
 CARD = ModelCard("zero_velocity", 6, 3, 30.0)
 LIMITS = JointLimits(elbow=AngleLimit(0.1, 2.0, math.inf), wrist_speed=1.5)

@@ -13,9 +13,10 @@ from kinecast.body.posture import points_from_postures, postures_from_points
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Sphere
 from kinecast.prediction.method import Method, forecast_in_scene
-from kinecast.prediction.observation import Observation, TrainingWindows
+from kinecast.prediction.observation import Observation
 from kinecast.prediction.paper import PostureSeries
 from kinecast.prediction.rollout import BONES, SERIES
+from kinecast.prediction.training_windows import TrainingWindows
 
 EVERYTHING = AngleLimit(-2 * math.pi, 2 * math.pi, math.inf)
 LOOSE = JointLimits(EVERYTHING, EVERYTHING, EVERYTHING, EVERYTHING)

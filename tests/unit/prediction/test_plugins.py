@@ -10,8 +10,8 @@ import pytest
 from kinecast.cli.evaluate import method_names
 from kinecast.errors import ModelError, OptionError
 from kinecast.prediction.methods import read_method
-from kinecast.prediction.observation import TrainingWindows
 from kinecast.prediction.plugins import is_plugin, load_plugin, train_plugin
+from kinecast.prediction.training_windows import TrainingWindows
 
 MODULE = """
 import numpy as np

@@ -16,7 +16,7 @@ from kinecast.prediction.kinecast.experts import FeatureScale, Networks, arm_vie
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
 from kinecast.prediction.kinecast.objectives import fit_error_model, fit_gate, fit_network
 from kinecast.prediction.kinecast.weights import Gate, rolling_errors
-from kinecast.prediction.observation import TrainingWindows
+from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Workers, generator
 
 Rows = Int[np.ndarray, " R"]
