@@ -214,7 +214,8 @@ def run(arguments: argparse.Namespace, results: dict[str, Any]) -> None:
             )
         entry |= {"model": split.model, "training_windows": fitted.windows, "training_seconds": fitted.seconds}
         entry["test"] = about
-        options = EvaluationOptions(samples=arguments.samples, repeats=0, limits=fitted.limits)
+        limits = getattr(given.get("kinecast"), "limits", None) or fitted.limits  # those it holds, where it was read
+        options = EvaluationOptions(samples=arguments.samples, repeats=0, limits=limits)
         for name, method in ((name, (fitted.methods | given)[name]) for name in names):
             entry["methods"][name] = score(method, recordings, options, arguments.motions)
             entry["gains"] = gains(entry["methods"])
