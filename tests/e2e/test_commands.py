@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.generated_people import SyntheticOptions, generate, table_scene
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.cli import progress
@@ -24,7 +25,6 @@ from kinecast.cli.commands import run
 from kinecast.datasets import table
 from kinecast.datasets.loading import load, shipped_clips
 from kinecast.datasets.recording import differences
-from kinecast.datasets.synthetic import SyntheticOptions, generate, table_scene
 from kinecast.datasets.table import read_rows
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.methods import METHODS, SHIPPED, read_method
