@@ -6,14 +6,14 @@ import ctypes
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_noise
+from kinecast.cameras.depth import DepthImage, lifted, stereo_noise
 from kinecast.cameras.people_tracker import PeopleTracker, PersonDetector
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
@@ -200,8 +200,9 @@ class RealSenseSource:
     def _detect(self, stamp: float, colour: Colour, depth: Depth, arrived: float) -> None:
         found = self._people.update(colour)
         depths = DepthImage(depth, self.stream.unit, self.intrinsics.fx, self.stream.noise)
-        joints = self._people.estimator.joints
-        people = [detection_of(stamp, self.address, name, joints, each, depths) for name, each in found.items()]
+        people = [
+            replace(depths.added(each), stamp=stamp, camera=self.address, person=name) for name, each in found.items()
+        ]
         jumps = self._clock.jumps
         acquired = self._clock.acquired(stamp, arrived)
         self._feed.clock_jumps += self._clock.jumps - jumps
