@@ -36,7 +36,6 @@ class Fusion:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.late = 0  # images that came too late to be used
         self.thrown_out = dict.fromkeys(rig.cameras, 0)  # measurements that disagreed with most, or were of nobody
         self.used = dict.fromkeys(rig.cameras, 0)  # those that went in
         self._names = count(1)
@@ -59,7 +58,6 @@ class Fusion:
         if camera not in self.rig.cameras or not math.isfinite(stamp):
             return []
         if stamp < self._stamp - OLDEST:
-            self.late += 1
             self._late_in_a_row += 1
             if self._late_in_a_row < ELSEWHERE:
                 return []
@@ -89,7 +87,7 @@ class Fusion:
         self._people = [each for each in unseen if unseen[each] < (FORGET if each.confirmed else FORGET_DOUBTFUL)]
         for person in self._people:
             person.states.advance(self._stamp)
-        strangers = self._recognise([[m for m in seen if m.stamp >= newest - OLDEST] for seen in images.values()])
+        strangers = self._recognise([[m for m in seen if m.stamps[0] >= newest - OLDEST] for seen in images.values()])
         self._welcome(strangers)
         kept: list[Person] = []  # of two who stand in one another, who was seen in fewer rounds is nobody
         for person in sorted(self._people, key=lambda person: -person.rounds):
