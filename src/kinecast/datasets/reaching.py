@@ -35,16 +35,10 @@ class Fetch:
 
 
 def fetching(fetches: Sequence[Fetch], duration: float, seed: int, rate: float = 100.0) -> Recording:
-    """The true motion of somebody who reaches for places one after the other; bones keep their length.
+    """The true motion of somebody who reaches for places one after the other, for a duration [s] at a rate [Hz].
 
-    Args:
-        fetches: in order of their starts; one that begins before the last has ended waits for it.
-        duration: [s].
-        seed: of the build, the tempo and the way they move.
-        rate: frames per second [Hz].
-
-    Raises:
-        OptionError: a duration or rate that is not above 0.
+    Fetches are in order of their starts; one that begins before the last has ended waits for it. The seed is of the
+    build, the tempo and the way they move. An OptionError for a duration or rate that is not above 0.
     """
     if not (duration > 0 and rate > 0):
         raise OptionError(f"duration {duration} s and rate {rate} Hz must be above 0")
@@ -90,15 +84,9 @@ class Actor:
         self.now += self._rng.uniform(low, high)
 
     def move(self, targets: Mapping[int, Point], lift: float | None = None, at_least: float = SHORTEST) -> float:
-        """Moves one hand or both to places of the wrist [m] from now on, trunk and elbows with them.
+        """Moves one hand or both to places of the wrist [m] from now on, trunk and elbows with them; how long it takes.
 
-        Args:
-            targets: by hand.
-            lift: height of the via-point [m]; a low natural arch if None.
-            at_least: shortest duration [s].
-
-        Returns:
-            The duration [s].
+        That is `at_least` [s] or more. `lift` is the height of the via-point [m]; a low natural arch if None.
         """
         rng = self._rng
         tempo = self.body.tempo * np.exp(np.clip(rng.normal(0.0, 0.12), -0.25, 0.25))

@@ -8,7 +8,6 @@ import json
 import os
 import re
 import shutil
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -83,10 +82,6 @@ def cache_folder() -> Path:
     """Where models are kept: $KINECAST_MODELS, else the system's place for what programs fetch."""
     if told := os.environ.get(FOLDER):
         return Path(told)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "kinecast" / "models"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "kinecast" / "models"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kinecast" / "models"
 
 
