@@ -8,6 +8,7 @@ into one weighted least squares.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from itertools import count
 
@@ -36,8 +37,8 @@ class Fusion:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.thrown_out = dict.fromkeys(rig.cameras, 0)  # measurements that disagreed with most, or were of nobody
-        self.used = dict.fromkeys(rig.cameras, 0)  # those that went in
+        self.used = Counter[str]()  # measurements of each camera that went in
+        self.thrown_out = Counter[str]()  # those that disagreed with most, or were of nobody
         self._names = count(1)
         self._late_in_a_row = 0
         self._start_anew()
@@ -124,10 +125,9 @@ class Fusion:
         return strangers
 
     def _update(self, person: Person, measurements: list[Measurement]) -> None:
-        left_out = person.update(measurements)
-        for each in measurements:
-            counted = self.thrown_out if each in left_out else self.used
-            counted[each.camera] += 1
+        left_out = Counter(each.camera for each in person.update(measurements))
+        self.thrown_out += left_out
+        self.used += Counter(each.camera for each in measurements) - left_out
 
     def _welcome(self, strangers: list[Measurement]) -> None:
         """Measurements of nobody known: people who came, if they are far enough from everybody."""
@@ -153,8 +153,7 @@ class Fusion:
                 self._update(self._people[-1], fitting)
                 strangers = [each for each in strangers if each not in fitting]
                 nobodies = [each for each in nobodies if each not in fitting]
-        for each in nobodies:
-            self.thrown_out[each.camera] += 1
+        self.thrown_out.update(each.camera for each in nobodies)
 
 
 def _fitting(measurements: list[Measurement], person: Person) -> list[Measurement]:
