@@ -6,6 +6,7 @@ import ctypes
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,19 +25,15 @@ from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
 from kinecast.live.settings import numbers, picture_size, whole_number
 
-try:
-    try:
-        import pyrealsense2 as rs
-    except ImportError as error:  # it needs a libusb, which a wheel can bring too
-        if "libusb" not in str(error):
-            raise
-        import libusb_package
+with suppress(ImportError, OSError):  # pyrealsense2 needs a libusb, which a wheel can bring too
+    import libusb_package
 
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-        import pyrealsense2 as rs
+    ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+try:
+    import pyrealsense2 as rs
 except ModuleNotFoundError as error:
     raise MissingExtraError("RealSense cameras", "camera") from error
-except (ImportError, OSError) as error:
+except ImportError as error:
     raise OptionError(f"pyrealsense2 cannot be loaded: {error}") from None
 
 Colour = UInt8[np.ndarray, "h w 3"]
