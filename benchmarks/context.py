@@ -32,7 +32,7 @@ import numpy as np
 from benchmarks.generalisation import VICON
 from benchmarks.generated_people import SyntheticOptions, generate, generate_clean, table_scene
 from benchmarks.machine import RESULTS, facts, save
-from kinecast.datasets.loading import load_all
+from kinecast.datasets.loading import load
 from kinecast.datasets.reaching import Fetch, fetching
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.resampling import resample
@@ -268,7 +268,7 @@ def places(recordings: Sequence[Recording]) -> dict[str, Sphere | Box]:
 
 def on_vicon(data: Path, path: Path, samples: int, stride: int) -> dict[str, Any]:
     """The part `vicon`."""
-    train_on, test_on = split(load_all([data / VICON]))
+    train_on, test_on = split(load([data / VICON]))
     method = model_of(train_on, path)
     result: dict[str, Any] = {}
     for task in sorted({recording.task for recording in test_on}):
