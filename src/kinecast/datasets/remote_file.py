@@ -155,7 +155,7 @@ def download(
         done += remote.size
         advance(0)
     if public.model and public.model.name != targets[0].name:
-        return [_unpacked(targets[0], root / public.model.name)]
+        return [_unpacked(targets[0], root / public.model.name, public.model.size)]
     return targets
 
 
@@ -263,12 +263,13 @@ def _gather(remote: RemoteFile, part: Path, advance: Callable[[int], None]) -> s
     return "connection closed"
 
 
-def _unpacked(archive: Path, path: Path) -> Path:
-    """The path, once it is the one entry with its ending of a checked archive; the archive goes."""
+def _unpacked(archive: Path, path: Path, size: int) -> Path:
+    """The path, once it is the one entry of its ending and size of a checked archive; the archive goes."""
     part = path.with_name(f"{path.name}.part")
     try:
         with zipfile.ZipFile(archive) as opened:
-            (entry,) = (name for name in opened.namelist() if name.endswith(path.suffix))
+            entries = (each for each in opened.infolist() if each.filename.endswith(path.suffix))
+            (entry,) = (each for each in entries if each.file_size == size)
             with opened.open(entry) as content, part.open("wb") as file:
                 shutil.copyfileobj(content, file)
         part.replace(path)
