@@ -22,7 +22,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from benchmarks.machine import facts, milliseconds, save
-from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_noise
+from kinecast.cameras.depth import DepthImage, lifted, stereo_noise
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
 
@@ -71,10 +71,10 @@ def run(model: Path | None, pictures: int) -> dict[str, Any]:
     estimates, lifts = [], []
     for _ in range(pictures):
         begun = time.thread_time()
-        keypoints = estimator.estimate(colour, box)
+        seen = estimator.estimate(colour, box)
         estimated = time.thread_time()
         image = DepthImage(values, 0.001, FOCAL, stereo_noise())
-        lifted(detection_of(0.0, "camera", "0", estimator.joints, keypoints, image), camera)
+        lifted(image.added(seen), camera)
         lifts.append(time.thread_time() - estimated)
         estimates.append(estimated - begun - network.here[-1])
     return {

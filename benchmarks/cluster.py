@@ -31,7 +31,7 @@ import numpy as np
 import psutil
 
 from benchmarks.machine import facts, save
-from kinecast.datasets.loading import load_all
+from kinecast.datasets.loading import load
 from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.pipeline import training_windows
@@ -160,7 +160,7 @@ def measure(data: Path, arguments: argparse.Namespace, share: float) -> dict[str
     """
     workers = Timed()
     started = time.process_time()
-    recordings = load_all([data])
+    recordings = load([data])
     read = time.process_time() - started
     tested = [each for each in recordings if each.task == arguments.test]
     others = [each for each in recordings if each.task != arguments.test]

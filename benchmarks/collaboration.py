@@ -33,7 +33,7 @@ import numpy as np
 import kinecast
 from benchmarks.collaboration_report import report, save_plot, summarise
 from benchmarks.machine import RESULTS, facts, save
-from kinecast.datasets.loading import load_all
+from kinecast.datasets.loading import load
 from kinecast.datasets.recording import Recording
 from kinecast.robot.camera import Camera
 from kinecast.robot.cell import CELLS, Cell, cell_named
@@ -133,11 +133,9 @@ def episode(seed: int, name: str, settings: Settings) -> tuple[Outcome, float]:
 @cache
 def recordings(folder: str) -> tuple[tuple[Recording, ...], ...]:
     """Takes of sets that the shipped models were not trained on: at work at a table, giving, and walking up to take."""
-    handovers = load_all([Path(folder) / "handover_zed"]) if (Path(folder) / "handover_zed").is_dir() else []
+    handovers = load([Path(folder) / "handover_zed"]) if (Path(folder) / "handover_zed").is_dir() else []
     return (
-        tuple(load_all([Path(folder) / "ha4m_features_demo"]))
-        if (Path(folder) / "ha4m_features_demo").is_dir()
-        else (),
+        tuple(load([Path(folder) / "ha4m_features_demo"])) if (Path(folder) / "ha4m_features_demo").is_dir() else (),
         tuple(each for each in handovers if each.person == "giver"),
         tuple(each for each in handovers if each.person == "receiver"),
     )

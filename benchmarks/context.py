@@ -5,7 +5,7 @@ python -m benchmarks.context [--data FOLDER] [--parts goals cost vicon] [--model
 FOLDER (or the variable KINECAST_DATA) holds the recordings as docs/datasets.md names them. Parts, each added to the
 JSON file as it ends:
 
-goals: generated people (kinecast.datasets.synthetic, seeds that nothing was fitted on) with the shipped model, which
+goals: generated people (benchmarks.generated_people, seeds that nothing was fitted on) with the shipped model, which
     has seen no generated person. The scene's goals as they are, all of them moved by 15 cm, and people who reach
     elsewhere.
 cost: what goals add to the processor time of a forecast of 1000 samples, on one core.
@@ -30,11 +30,12 @@ import numba
 import numpy as np
 
 from benchmarks.generalisation import VICON
+from benchmarks.generated_people import SyntheticOptions, generate, generate_clean, table_scene
 from benchmarks.machine import RESULTS, facts, save
-from kinecast.datasets.loading import load_all
+from kinecast.datasets.loading import load
+from kinecast.datasets.reaching import Fetch, fetching
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.resampling import resample
-from kinecast.datasets.synthetic import Fetch, SyntheticOptions, fetching, generate, generate_clean, table_scene
 from kinecast.datasets.windows import WindowOptions, all_windows
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
 from kinecast.geometry.scene import Scene
@@ -267,7 +268,7 @@ def places(recordings: Sequence[Recording]) -> dict[str, Sphere | Box]:
 
 def on_vicon(data: Path, path: Path, samples: int, stride: int) -> dict[str, Any]:
     """The part `vicon`."""
-    train_on, test_on = split(load_all([data / VICON]))
+    train_on, test_on = split(load([data / VICON]))
     method = model_of(train_on, path)
     result: dict[str, Any] = {}
     for task in sorted({recording.task for recording in test_on}):

@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.generalisation_scores import DERIVATIVES, TUBES, Watched, motions_summary, summary
 from benchmarks.machine import RESULTS, facts, save
 from kinecast.body.limits import JointLimits
-from kinecast.datasets.loading import load_all
+from kinecast.datasets.loading import load
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate
@@ -204,9 +204,9 @@ def run(arguments: argparse.Namespace, results: dict[str, Any]) -> None:
         given = {name: read_method(files[name])[1] for name in names if files.get(name) and files[name].exists()}
         needed = [name for name in names if name not in given]
         if split.model not in trained or not set(needed) <= trained[split.model].methods.keys():
-            trained = {split.model: fit(needed, load_all([arguments.data / path for path in split.training]))}
+            trained = {split.model: fit(needed, load([arguments.data / path for path in split.training]))}
         fitted = trained[split.model]
-        recordings, about = scored_on(load_all([arguments.data / split.tested]), arguments.windows)
+        recordings, about = scored_on(load([arguments.data / split.tested]), arguments.windows)
         about |= {"samples": arguments.samples, "trained_on": list(split.training)}
         if entry.get("test", about) != about:
             raise SystemExit(

@@ -29,10 +29,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from benchmarks.generated_people import SyntheticOptions, generate
 from benchmarks.machine import facts, milliseconds, save
 from kinecast.datasets import table
 from kinecast.datasets.loading import load
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.live.mcap_file import PREDICTIONS
 
 COMMAND = (sys.executable, "-c", "from kinecast.cli import main; main()", "live")

@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.generated_people import SyntheticOptions, generate
 from benchmarks.machine import facts, milliseconds, save
 from benchmarks.naive import NaiveConstrained
 from kinecast import Predictor, PredictorOptions, Scene
 from kinecast.datasets.loading import load
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.shapes import Box, ConstantVelocity, MovingObstacle
 from kinecast.pipeline import frames, training_windows

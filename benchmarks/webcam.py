@@ -29,7 +29,7 @@ from kinecast.cameras.overlay import Picture, drawn
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.single_view import BODY, ScaleOptions, SingleView, height_of, turn_towards
 from kinecast.cameras.video import VideoStream
-from kinecast.datasets.loading import load_all
+from kinecast.datasets.loading import load
 from kinecast.datasets.remote_file import cached_model
 from kinecast.geometry.transforms import apply
 from kinecast.live.publication import Publication
@@ -107,7 +107,7 @@ def _motions(data: Path, takes: int) -> Iterator[Float[np.ndarray, "T 12 3"]]:
     """Takes at 30 Hz, feet on the floor, the middle of the hips at the origin on average."""
     files = sorted((data / "cmu").rglob("*.parquet")) + sorted((data / "mhad").rglob("a0[45]*e01.parquet"))
     chosen = [files[k] for k in np.linspace(0, len(files) - 1, min(takes, len(files))).astype(int)]
-    for recording in load_all(chosen):
+    for recording in load(chosen):
         columns = [recording.joints.index(joint) for joint in _SEEN]
         stamps = (
             np.arange(0.0, min(recording.stamps[-1] - recording.stamps[0], LONGEST), 1 / RATE) + recording.stamps[0]

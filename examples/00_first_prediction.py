@@ -1,6 +1,6 @@
 """A first prediction.
 
-One person at a table, frame by frame through the online predictor, as a camera would give them.
+A real person at work, frame by frame through the online predictor, as a camera would give them.
 
 Shows: `Predictor.shipped`, `observe`, the status, the mean, tubes, the probability of touching something, and how
 likely what came next was held to be.
@@ -11,16 +11,15 @@ from __future__ import annotations
 import numpy as np
 
 from kinecast import ARM_JOINTS, Box, Predictor, PredictorOptions, SkeletonFrame
-from kinecast.datasets.synthetic import SyntheticOptions, generate
+from kinecast.datasets.loading import shipped_clips
 
 RIGHT_WRIST = ARM_JOINTS.index("right_wrist")
 
 
 def main() -> None:
     predictor = Predictor.shipped(options=PredictorOptions(samples=300))
-    # A generated person stands in for a camera: 30 frames per second, noisy, with dropouts and jumps.
-    (person,) = generate(SyntheticOptions(subjects=1, recordings=1, duration=4.0), seed=4)
-    bin_on_table = Box(center=np.array([0.45, -0.2, 0.95]), size=np.array([0.2, 0.2, 0.1]))
+    person = shipped_clips()[0].select(slice(120))  # four seconds of a recording stand in for a camera
+    bin_on_table = Box(center=np.array([0.5, -0.1, 0.3]), size=np.array([0.2, 0.2, 0.2]))
 
     shown = range(20, 75, 9)
     for index, (stamp, positions) in enumerate(zip(person.stamps, person.positions, strict=True)):

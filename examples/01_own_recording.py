@@ -15,10 +15,9 @@ from pathlib import Path
 
 from kinecast import KinecastError, Predictor, PredictorOptions
 from kinecast.datasets import table
-from kinecast.datasets.loading import load
+from kinecast.datasets.loading import load, shipped_clips
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.summary import summarise
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.pipeline import stream
 
 
@@ -33,7 +32,7 @@ def write_csv(path: Path, recording: Recording, metres: float = 1.0) -> None:
 
 
 def main() -> None:
-    (person,) = generate(SyntheticOptions(subjects=1, recordings=1, duration=4.0), seed=2)
+    person = shipped_clips()[0].select(slice(120))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinecast import Box, Predictor, PredictorOptions, Scene
-from kinecast.datasets.synthetic import SyntheticOptions, generate
+from kinecast.datasets.reaching import Fetch, fetching
 from kinecast.geometry.shapes import MovingObstacle, Waypoints
 from kinecast.pipeline import frames
 
@@ -29,7 +29,7 @@ def main() -> None:
     gripper = Box(center=np.array([0.45, -0.1, 1.4]), size=np.array([0.15, 0.15, 0.2]))
     robot = MovingObstacle(gripper, Waypoints(np.array([1.0, 2.0]), np.array([[0.45, -0.1, 1.4], [0.45, -0.1, 1.0]])))
 
-    (person,) = generate(SyntheticOptions(subjects=1, recordings=1, duration=3.0), seed=8)
+    person = fetching([Fetch(0.8, np.array([0.45, -0.1, 0.98]))], duration=3.0, seed=8, rate=30.0)
     print("   t    inside the table: free  constrained   kept   P(touching the robot within 0.5 s)")
     for index, frame in enumerate(frames(person)):
         without, prediction = free.observe(frame), constrained.observe(frame)

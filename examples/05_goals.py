@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinecast import Predictor, PredictorOptions, Scene
-from kinecast.datasets.synthetic import Fetch, fetching
+from kinecast.datasets.reaching import Fetch, fetching
 from kinecast.pipeline import frames
 
 SCENE = """

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinecast.datasets.synthetic import SyntheticOptions, generate
+from kinecast.datasets.loading import shipped_clips
 from kinecast.datasets.windows import WindowOptions
 from kinecast.pipeline import training_windows
 from kinecast.prediction.method import Forecast, Memoryless
@@ -71,9 +71,8 @@ def fit(windows: TrainingWindows) -> Fading:
 
 
 def trained() -> Fading:
-    """For `--model own_method:trained`: a method that is ready, fitted to generated people; yours may read a file."""
-    people = generate(SyntheticOptions(subjects=2, recordings=1, duration=8.0), seed=1)
-    return fit(training_windows(people, WindowOptions()))
+    """For `--model own_method:trained`: a method that is ready, fitted to two recordings; yours may read a file."""
+    return fit(training_windows(shipped_clips(), WindowOptions()))
 
 
 if __name__ == "__main__":

@@ -159,7 +159,7 @@ def model_file(name: str) -> Path:
 
 def generated_people(folder: Path) -> list[Path]:
     """Writes generated people as tables, one file each."""
-    from kinecast.datasets.synthetic import SyntheticOptions, generate
+    from benchmarks.generated_people import SyntheticOptions, generate
 
     paths = []
     for number, person in enumerate(generate(SyntheticOptions(subjects=3, recordings=1, duration=14.0), seed=5)):

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from benchmarks import generated_people
+from benchmarks.generated_people import SyntheticOptions, generate
 
 from kinecast.cli.commands import run
-from kinecast.datasets import synthetic, table
-from kinecast.datasets.synthetic import SyntheticOptions, generate
+from kinecast.datasets import table
 
 MODEL = Path(__file__).resolve().parents[2] / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
 LIVE = (
@@ -70,7 +71,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two files, each with five seconds of another person moving cubes on a table."""
     folder = tmp_path_factory.mktemp("recordings")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(synthetic, "JUMPS", 0.0)
+        patch.setattr(generated_people, "JUMPS", 0.0)
         first, second = generate(PEOPLE, seed=3)
     for name, recording in (("first", first), ("second", second)):
         table.write(folder / f"{name}.parquet", [recording])

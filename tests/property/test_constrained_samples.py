@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.generated_people import SyntheticOptions, generate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinecast.body.limits import AngleLimit, JointLimits, violations
 from kinecast.body.posture import USUAL_RANGE, points_from_postures, postures_from_points
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, HalfSpace, Shape, Sphere

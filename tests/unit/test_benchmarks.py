@@ -17,10 +17,10 @@ for name, where in (("sklearn", "kinecast[bench]"), ("pyswarms", "kinecast[bench
         pytest.skip(f"no {name}: it comes with {where}", allow_module_level=True)
 
 from benchmarks import inverse_kinematics, online_step
+from benchmarks.generated_people import SyntheticOptions, generate
 from benchmarks.machine import facts, save
 
 from kinecast.body.posture import arm_vectors
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 
 
 @pytest.fixture(scope="module")

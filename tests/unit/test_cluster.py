@@ -17,10 +17,10 @@ import pytest
 
 pytest.importorskip("distributed")
 
+from benchmarks.generated_people import SyntheticOptions, generate
 from distributed import LocalCluster
 
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ClusterError, DatasetError, OptionError
 from kinecast.evaluation.scoring import EvaluationOptions, TestRecording, evaluate

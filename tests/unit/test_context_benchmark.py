@@ -12,8 +12,9 @@ if find_spec("benchmarks") is None:
     pytest.skip("no benchmarks: they come with the repository", allow_module_level=True)
 
 from benchmarks import context
+from benchmarks.generated_people import table_scene
 
-from kinecast.datasets.synthetic import Fetch, fetching, table_scene
+from kinecast.datasets.reaching import Fetch, fetching
 from kinecast.prediction.kinecast.model import Kinecast
 from kinecast.prediction.method import shortened
 from kinecast.prediction.methods import shipped_methods

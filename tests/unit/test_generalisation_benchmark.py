@@ -12,8 +12,8 @@ if find_spec("benchmarks") is None:
     pytest.skip("no benchmarks: they come with the repository", allow_module_level=True)
 
 from benchmarks import generalisation, generalisation_scores
+from benchmarks.generated_people import SyntheticOptions, generate
 
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.errors import OptionError
 from kinecast.prediction.methods import read_shipped
 from kinecast.prediction.observation import STANDING, Observation

@@ -19,14 +19,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.optimize import least_squares
 
+from kinecast.cameras.opencv import cv2
 from kinecast.cameras.pinhole import Intrinsics
-from kinecast.errors import DatasetError, MissingExtraError, OptionError
+from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.transforms import apply, from_rotation_vector, inverse, rotation_vector, transform
-
-try:
-    import cv2
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("calibration", "camera") from error
 
 MARKER = 0.74  # side of a marker, of a square's: white around it as wide as one of its own fields
 DOTS_PER_METRE = 300 / 0.0254

@@ -5,13 +5,12 @@ The depth image lies over the colour image. Around a keypoint there is the limb,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, UInt16
 
 from kinecast.cameras.fusion.measurement import SKIN_STD, skin_depths
-from kinecast.cameras.keypoints import Keypoints
 from kinecast.cameras.pinhole import PinholeCamera
 from kinecast.live.detection import LEAST_CONFIDENCE, Detection
 from kinecast.types import SkeletonFrame
@@ -57,6 +56,11 @@ class DepthImage:
             depths = np.where(np.abs(depths - np.nanmedian(depths)) > REACH, np.nan, depths)
         return depths, np.hypot(self.noise * depths**2, relief)
 
+    def added(self, seen: Detection) -> Detection:
+        """The same person with the depths seen at their joints."""
+        depth, depth_std = self.at(seen.pixels)
+        return replace(seen, depth=depth, depth_std=depth_std)
+
     def _surface(self, pixel: Float[np.ndarray, " 2"], radius: int) -> tuple[float, float]:
         """Depth of the nearest surface at a pixel, and half the height of its own relief [m]."""
         values = np.sort(self._patch(pixel, radius))
@@ -75,15 +79,6 @@ class DepthImage:
         x, y = np.rint(pixel).astype(int)
         depths = self.values[max(y - radius, 0) : y + radius + 1, max(x - radius, 0) : x + radius + 1] * self.unit
         return depths[(depths >= NEAREST) & (depths <= FARTHEST)]
-
-
-def detection_of(
-    stamp: float, camera: str, person: str, joints: tuple[str, ...], keypoints: Keypoints, depths: DepthImage
-) -> Detection:
-    """What one image with depth says of one person; joints that are not sure have no pixel."""
-    pixels = np.where(keypoints.seen[:, None], keypoints.pixels, np.nan)
-    depth, depth_std = depths.at(pixels)
-    return Detection(stamp, camera, joints, pixels, keypoints.pixel_std, depth, depth_std, keypoints.confidence, person)
 
 
 def lifted(seen: Detection, camera: PinholeCamera) -> SkeletonFrame:

@@ -51,7 +51,6 @@ class FusedSource:
         self._changed = threading.Condition()
         self._stop = False
         self._judged = time.monotonic()
-        self._counted = dict.fromkeys(rig.cameras, (0, 0))
         self._thread: threading.Thread | None = None
         self._epoch = time.time() - time.monotonic()
 
@@ -136,11 +135,12 @@ class FusedSource:
 
     def _judge(self) -> None:
         """Names cameras whose views were mostly thrown out lately: they may have been moved."""
-        for camera, (used, thrown_out) in self._counted.items():
-            used, thrown_out = self.fusion.used[camera] - used, self.fusion.thrown_out[camera] - thrown_out
+        for camera, thrown_out in self.fusion.thrown_out.items():
+            used = self.fusion.used[camera]
             if thrown_out > max(used, MOST_THROWN_OUT):
                 log.warning(
                     "%s: camera %r contradicts the others in %d of %d views: has it moved since it was calibrated?",
                     self.address, camera, thrown_out, used + thrown_out,
                 )  # fmt: skip
-        self._counted = {name: (self.fusion.used[name], self.fusion.thrown_out[name]) for name in self.rig.cameras}
+        self.fusion.used.clear()
+        self.fusion.thrown_out.clear()

@@ -1,15 +1,14 @@
-"""Where a person is in an image, by whatever network: joints' pixels, how far off they are, and the box around them."""
+"""Where a person is in an image, by whatever network: how far off joints' pixels are, and whose boxes overlap."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from kinecast.body.skeleton import without_side
-from kinecast.live.detection import LEAST_CONFIDENCE
+from kinecast.live.detection import LEAST_CONFIDENCE, Detection
 
 _SPREAD = {
     "nose": 0.026, "eye": 0.025, "ear": 0.035, "shoulder": 0.079, "elbow": 0.072, "wrist": 0.062, "hip": 0.107,
@@ -21,18 +20,17 @@ evaluation. It has none for neck, pelvis, hands and feet: they have the shoulder
 AREA = 0.53  # of a person, as a share of their box: what mmpose takes where there is no mask
 
 
-@dataclass(frozen=True)
-class Keypoints:
-    """One person in an image."""
-
-    pixels: Float[np.ndarray, "J 2"]  # of the estimator's joints [px]; also where confidence is low
-    pixel_std: Float[np.ndarray, " J"]  # standard deviation of both coordinates [px]
-    confidence: Float[np.ndarray, " J"]  # 0..1
-
-    @property
-    def seen(self) -> Bool[np.ndarray, " J"]:
-        """(J,) True where the confidence is enough."""
-        return self.confidence >= LEAST_CONFIDENCE
+def detection(
+    joints: tuple[str, ...],
+    pixels: Float[np.ndarray, "J 2"],
+    confidence: Float[np.ndarray, " J"],
+    least_confidence: float = LEAST_CONFIDENCE,
+) -> Detection:
+    """One person in an image without depth: joints that the network is not sure of have no pixel."""
+    seen = confidence >= least_confidence
+    nothing = np.full(len(joints), np.nan)
+    shown, std = np.where(seen[:, None], pixels, np.nan), keypoint_std(joints, pixels, seen)
+    return Detection(0.0, "", joints, shown, std, nothing, nothing, confidence)
 
 
 def keypoint_std(

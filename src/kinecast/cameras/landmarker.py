@@ -62,14 +62,10 @@ def _quiet() -> Iterator[None]:
 class Landmarker:
     """Finds up to so many people in the images of one camera, and keeps their names from image to image.
 
-    Raises:
-        OptionError: people outside 1..4.
-        ModelError: no such file, or none that PoseLandmarker takes.
+    A ModelError where there is no such file, or none that PoseLandmarker takes.
     """
 
     def __init__(self, path: Path, people: int = 1) -> None:
-        if not 1 <= people <= MOST_PEOPLE:
-            raise OptionError(f"people {people} is outside 1..{MOST_PEOPLE}")
         try:
             if path.stat().st_size > LARGEST_MODEL:
                 raise ValueError(f"larger than {LARGEST_MODEL} bytes")

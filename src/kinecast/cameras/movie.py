@@ -9,15 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinecast.cameras.opencv import cv2
 from kinecast.cameras.overlay import Picture, drawn
-from kinecast.errors import MissingExtraError
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import BackgroundWriter
-
-try:
-    import cv2
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("pictures of a camera", "webcam") from error
 
 MOST_WAITING = 30  # pictures that wait for the disc; more are dropped and counted
 DELAY = 0.1  # a picture waits so long for its prediction [s]

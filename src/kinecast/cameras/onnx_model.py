@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
+from kinecast.cameras.opencv import cv2
 from kinecast.errors import MissingExtraError, ModelError
 
 try:
-    import cv2
     import onnxruntime
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("cameras", "camera") from error

@@ -9,15 +9,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from kinecast.cameras.opencv import cv2
 from kinecast.cameras.pinhole import PinholeCamera
-from kinecast.errors import MissingExtraError
 from kinecast.live.publication import Publication, colour_of
 from kinecast.types import LIMBS, Status
-
-try:
-    import cv2
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("pictures of a camera", "webcam") from error
 
 _SIDE = ("shoulder", "elbow", "wrist"), ("shoulder", "hip", "knee", "ankle")
 BONES = (

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from kinecast.cameras.keypoints import Keypoints, overlaps
+from kinecast.cameras.keypoints import overlaps
 from kinecast.cameras.onnx_model import IMAGENET_MEAN, IMAGENET_STD, ImageModel
 from kinecast.cameras.pose_estimator import PoseEstimator
 from kinecast.errors import ModelError
+from kinecast.live.detection import Detection
 
 LEAST_SCORE = 0.5
 SMALLEST = 16.0  # of a box, each side [px]
@@ -72,15 +73,15 @@ class PeopleTracker:
         self._names = count()
         self._since = 0
 
-    def update(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Keypoints]:
-        """The keypoints of each person in the next RGB image; a ModelError where a network fails."""
+    def update(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Detection]:
+        """The joints of each person in the next RGB image; a ModelError where a network fails."""
         self._since += 1
         if not self._boxes or (self._detector is not None and self._since >= DETECT_EVERY):
             self._detect(image)
         found = {name: self.estimator.estimate(image, box) for name, box in self._boxes.items()}
         self._boxes = {}
-        for name, keypoints in found.items():  # the oldest first: a newer one in the same place is the same person
-            seen = keypoints.pixels[keypoints.seen]
+        for name, person in found.items():  # the oldest first: a newer one in the same place is the same person
+            seen = person.pixels[person.seen]
             if len(seen) >= LEAST_SEEN:
                 low, high = seen.min(axis=0), seen.max(axis=0)
                 middle, half = (low + high) / 2, (high - low) / 2 * MARGIN

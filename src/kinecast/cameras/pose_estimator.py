@@ -7,16 +7,17 @@ the box in the network's own ratio, RGB less ImageNet's mean, and for each keypo
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from kinecast.body.skeleton import COCO_17
-from kinecast.cameras.keypoints import Keypoints, keypoint_std
+from kinecast.cameras.keypoints import detection
 from kinecast.cameras.onnx_model import IMAGENET_MEAN, IMAGENET_STD, ImageModel
 from kinecast.errors import ModelError
-from kinecast.live.detection import LEAST_CONFIDENCE
+from kinecast.live.detection import Detection
 
 PADDING = 1.25
 FINEST = 8  # most SimCC bins in a pixel; RTMPose has 2
@@ -48,17 +49,16 @@ class PoseEstimator:
         self._columns = [column for column, joint in enumerate(_NAMES[count]) if joint is not None]
         self.joints = tuple(joint for joint in _NAMES[count] if joint is not None)
 
-    def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Keypoints:
-        """The keypoints of whoever is in a box (left, top, right, bottom) [px] of an RGB image; or a ModelError."""
+    def estimate(self, image: UInt8[np.ndarray, "h w 3"], box: Float[np.ndarray, " 4"]) -> Detection:
+        """The joints of whoever is in a box (left, top, right, bottom) [px] of an RGB image; or a ModelError."""
         middle, size = (box[:2] + box[2:]) / 2, np.maximum(box[2:] - box[:2], 1.0) * PADDING
         inside = np.array([self.model.width, self.model.height])
         scale = float((size / inside).max())
         corner = middle - scale * inside / 2
         outputs = self.model.run((self.model.window(image, corner, scale) - IMAGENET_MEAN) / IMAGENET_STD)
         places, confidence = self._peaks(outputs)
-        pixels, confidence = corner + scale * places[self._columns], confidence[self._columns]
-        std = keypoint_std(self.joints, pixels, confidence >= LEAST_CONFIDENCE)
-        return Keypoints(pixels, np.maximum(std, scale / 2), confidence)
+        found = detection(self.joints, corner + scale * places[self._columns], confidence[self._columns])
+        return replace(found, pixel_std=np.maximum(found.pixel_std, scale / 2))
 
     def _peaks(self, outputs: list[np.ndarray]) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, " K"]]:
         """Where each keypoint is in the crop [px], and the height of its peak, 0..1."""

@@ -6,14 +6,15 @@ import ctypes
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_noise
+from kinecast.cameras.depth import DepthImage, lifted, stereo_noise
 from kinecast.cameras.people_tracker import PeopleTracker, PersonDetector
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
 from kinecast.cameras.pose_estimator import PoseEstimator
@@ -24,19 +25,15 @@ from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
 from kinecast.live.settings import numbers, picture_size, whole_number
 
-try:
-    try:
-        import pyrealsense2 as rs
-    except ImportError as error:  # it needs a libusb, which a wheel can bring too
-        if "libusb" not in str(error):
-            raise
-        import libusb_package
+with suppress(ImportError, OSError):  # pyrealsense2 needs a libusb, which a wheel can bring too
+    import libusb_package
 
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-        import pyrealsense2 as rs
+    ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+try:
+    import pyrealsense2 as rs
 except ModuleNotFoundError as error:
     raise MissingExtraError("RealSense cameras", "camera") from error
-except (ImportError, OSError) as error:
+except ImportError as error:
     raise OptionError(f"pyrealsense2 cannot be loaded: {error}") from None
 
 Colour = UInt8[np.ndarray, "h w 3"]
@@ -200,8 +197,9 @@ class RealSenseSource:
     def _detect(self, stamp: float, colour: Colour, depth: Depth, arrived: float) -> None:
         found = self._people.update(colour)
         depths = DepthImage(depth, self.stream.unit, self.intrinsics.fx, self.stream.noise)
-        joints = self._people.estimator.joints
-        people = [detection_of(stamp, self.address, name, joints, each, depths) for name, each in found.items()]
+        people = [
+            replace(depths.added(each), stamp=stamp, camera=self.address, person=name) for name, each in found.items()
+        ]
         jumps = self._clock.jumps
         acquired = self._clock.acquired(stamp, arrived)
         self._feed.clock_jumps += self._clock.jumps - jumps

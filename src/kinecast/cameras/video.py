@@ -11,12 +11,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from kinecast.errors import MissingExtraError, OptionError
-
-try:
-    import cv2
-except ImportError as error:  # pragma: no cover - the tests install it
-    raise MissingExtraError("a camera", "webcam") from error
+from kinecast.cameras.opencv import cv2
+from kinecast.errors import OptionError
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video is opened; it would print of its own
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -25,36 +21,29 @@ Colour = UInt8[np.ndarray, "h w 3"]
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff")
 STREAMS = ("http://", "https://", "rtsp://", "udp://")
 RATE = 30.0  # pictures in a second of a folder, and of a video that does not say
+ASKED = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FPS)  # of a webcam, if at all
 SILENT = 5000  # after so long without a picture an IP camera counts as lost [ms]
 
 
 class VideoStream:
     """RGB pictures of one place: a webcam's number, an IP camera's address, a video file, a folder of pictures.
 
-    Args:
-        place: which.
-        size: width and height that a webcam is asked for [px]; it may give another.
-        rate: pictures in a second: asked of a webcam, and of a folder.
+    A webcam is asked for a size [px] and a rate [1/s], and may give others; a folder has that rate. An OptionError
+    where there is no such camera, file or folder, or it gives no picture.
 
     Attributes:
         live: whether it is a camera: pictures are stamped as they come and a lost one can be opened anew.
         size: width and height of the pictures [px].
         rate: pictures in a second, as far as the camera or file says.
         lost: pictures of a folder that cannot be read or are of another size, and what a video that breaks off lacks.
-
-    Raises:
-        OptionError: there is no such camera, file or folder, or it gives no picture.
     """
 
     def __init__(self, place: str, size: tuple[int, int] | None = None, rate: float | None = None) -> None:
-        self.place, self._asked = place, (size, rate)
+        self.place, self._asked = place, (*(size or (None, None)), rate)
         self.live = place.isdecimal() or place.startswith(STREAMS)
         self.rate = rate or RATE
         self.lost = 0
         self._epoch = time.time() - time.monotonic()
-        self._files: list[Path] = []
-        if not self.live and Path(place).is_dir():
-            self._files = sorted(path for path in Path(place).iterdir() if path.suffix.lower() in ENDINGS)
         first = next(self._pictures(threading.Event()), None)
         if first is None:
             raise OptionError(f"camera:{place}: {self._why_none()}")
@@ -75,8 +64,9 @@ class VideoStream:
             raise RuntimeError("gives no picture any more")
 
     def _pictures(self, stop: threading.Event) -> Iterator[tuple[float, Colour]]:
-        if not self.live and not Path(self.place).is_file():
-            for index, path in enumerate(self._files):
+        folder = Path(self.place)
+        if not self.live and folder.is_dir():
+            for index, path in enumerate(sorted(each for each in folder.iterdir() if each.suffix.lower() in ENDINGS)):
                 picture = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
                 self.lost += picture is None
                 if picture is not None and not stop.is_set():
@@ -93,9 +83,7 @@ class VideoStream:
             capture.release()
 
     def _decoded(self, capture: cv2.VideoCapture, stop: threading.Event) -> Iterator[tuple[float, Colour]]:
-        (width, height), rate = self._asked[0] or (None, None), self._asked[1]
-        wanted = {cv2.CAP_PROP_FRAME_WIDTH: width, cv2.CAP_PROP_FRAME_HEIGHT: height, cv2.CAP_PROP_FPS: rate}
-        for number, value in wanted.items():
+        for number, value in zip(ASKED, self._asked, strict=True):
             if value and self.live:
                 capture.set(number, value)
         told = capture.get(cv2.CAP_PROP_FPS)

@@ -7,12 +7,12 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from kinecast.cameras.keypoints import keypoint_std
+from kinecast.cameras.keypoints import detection
 from kinecast.cameras.landmarker import JOINTS, MOST_PEOPLE, Landmarker, Landmarks
 from kinecast.cameras.overlay import Picture, Watcher
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera, level_pose
@@ -194,8 +194,5 @@ class WebcamSource:
 
     def _detection(self, stamp: float, name: str, person: Landmarks) -> Detection:
         """For the fusion: pixels, and no depth."""
-        seen = person.confidence >= self._options.confidence
-        pixels = np.where(seen[:, None], person.pixels, np.nan)
-        nothing = np.full(len(JOINTS), np.nan)
-        std = keypoint_std(JOINTS, person.pixels, seen)
-        return Detection(stamp, self.address, JOINTS, pixels, std, nothing, nothing, person.confidence, name)
+        seen = detection(JOINTS, person.pixels, person.confidence, self._options.confidence)
+        return replace(seen, stamp=stamp, camera=self.address, person=name)

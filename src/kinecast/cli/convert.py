@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 from kinecast.cli.options import FormatName, Switch, check_file
 from kinecast.cli.progress import progress_bar
 from kinecast.cli.recordings import MORE_FORMATS, UNREAD, WRITERS, one_scene, read_recordings
-from kinecast.datasets.loading import load_all
+from kinecast.datasets.loading import load
 from kinecast.datasets.recording import differences
 from kinecast.errors import OptionError
 from kinecast.output import draft
@@ -44,7 +44,7 @@ def convert(
         written = folder / target.name
         with progress_bar("writing"):
             WRITERS[target.suffix](written, recordings)
-        lost = differences(recordings, load_all([written], more=MORE_FORMATS))
+        lost = differences(recordings, load([written], more=MORE_FORMATS))
         if written.is_file():
             written.chmod(0o644)
         written.replace(target)

@@ -21,7 +21,7 @@ from kinecast.cli.options import (
 )
 from kinecast.cli.progress import progress_bar, status_lines
 from kinecast.cli.recordings import one_scene, read_recordings
-from kinecast.datasets.table import Rows, Words, require_extra, write_rows
+from kinecast.datasets.table import Rows, require_extra, words, write_rows
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import stream
 from kinecast.predictor import Predictor, PredictorOptions
@@ -78,11 +78,11 @@ def _rows(predictions: Sequence[Prediction], source: Path, predictor: Predictor)
     covariance = np.concatenate([prediction.covariance.reshape(-1, 3, 3) for prediction in predictions])
     return Rows(
         stamp=np.repeat(np.concatenate([prediction.times for prediction in predictions]), len(joints)),
-        person=Words.of([prediction.person for prediction in predictions], each),
-        joint=Words.of(joints * int(steps.sum())),
+        person=words([prediction.person for prediction in predictions], each),
+        joint=words(joints * int(steps.sum())),
         position=np.concatenate([prediction.mean.reshape(-1, 3) for prediction in predictions]),
         covariance=covariance[:, *np.triu_indices(3)],  # xx, xy, xz, yy, yz, zz
-        label=Words.of([prediction.status.name for prediction in predictions], each),
+        label=words([prediction.status.name for prediction in predictions], each),
         made=np.repeat([prediction.stamp for prediction in predictions], each),
         metadata={"what": "predictions", "source": source.name, "rate": 1.0 / predictor.method.dt},
     )

@@ -13,7 +13,7 @@ import numpy as np
 from kinecast.cli.progress import note, progress_bar
 from kinecast.datasets import table
 from kinecast.datasets.files import head
-from kinecast.datasets.loading import FORMATS, Format, load_all
+from kinecast.datasets.loading import FORMATS, Format, load
 from kinecast.datasets.recording import Recording
 from kinecast.errors import OptionError
 
@@ -72,7 +72,7 @@ def read_recordings(paths: Sequence[Path], format: str | None, option: str = "")
     if not paths:
         raise OptionError(f"{option}: no recording given".removeprefix(": "))
     with progress_bar("reading") as progress:
-        return load_all(paths, format, progress=progress, more=MORE_FORMATS)
+        return load(paths, format, progress=progress, more=MORE_FORMATS)
 
 
 def one_scene(recordings: Sequence[Recording], path: Path, command: str) -> Sequence[Recording]:

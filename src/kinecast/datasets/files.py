@@ -146,7 +146,7 @@ def rows(
     """
     values = array("d")
     names = [f"column {place + 1}" for place in (range(columns) if use is None else use)]
-    for line, content in enumerate(text.decode("utf-8", errors="replace").split("\n"), first_line):
+    for line, content in enumerate(text.decode("utf-8-sig", errors="replace").split("\n"), first_line):
         if not content or content.isspace():
             continue
         cells = content.split(delimiter)

@@ -88,7 +88,7 @@ def _subject(clip: str) -> str:
     return found[1] if (found := _CLIP.fullmatch(clip)) else ""
 
 
-def _bodies(camera: Path, alone: bool, path: Path, labels: dict[int, str] | None) -> Iterator[Recording]:
+def _bodies(camera: Path, alone: bool, path: Path, labels: dict[float, str] | None) -> Iterator[Recording]:
     """One camera's recordings, the longest first."""
     clip = path.absolute().name
     name = clip if alone else f"{clip}/{camera.name}"
@@ -146,31 +146,10 @@ def _frame_bodies(file: Path) -> dict[int, Float[np.ndarray, "J 3"]]:
     return bodies
 
 
-def _label(text: str, where: object) -> str:
-    """Name of a label written as its number."""
-    if not (text.isdecimal() and int(text) < len(LABELS)):
-        raise DatasetError(where, f"label is {text[:40]!r}, expected 0 to {len(LABELS) - 1}")
-    return LABELS[int(text)]
-
-
-def _lines(file: Path) -> list[tuple[str, str]]:
-    """Every line of a label file, with its place for messages."""
-    text = read_bytes(file).decode("utf-8-sig", errors="replace").rstrip()
-    return [(f"{file}, line {number}", line.strip()) for number, line in enumerate(text.split("\n"), 1)]
-
-
-def _clip_labels(file: Path) -> dict[int, str]:
+def _clip_labels(file: Path) -> dict[float, str]:
     """Label name of every frame id in `Labels.txt`."""
-    labels = {}
-    for where, line in _lines(file):
-        match line.split():
-            case []:
-                pass
-            case [frame, label, _] if frame.isdecimal():
-                labels[int(frame)] = _label(label, where)
-            case _:
-                raise DatasetError(where, f"found {line[:40]!r}, expected a frame id and two labels")
-    return labels
+    table = rows(read_bytes(file), 3, file, delimiter=None)
+    return dict(zip(table[:, 0].tolist(), _names(table[:, 1], file), strict=True))
 
 
 def _feature_labels(path: Path, frames: int) -> tuple[str, ...] | None:
@@ -178,10 +157,19 @@ def _feature_labels(path: Path, frames: int) -> tuple[str, ...] | None:
     file = path.absolute().parent.parent / "GroundTruth" / f"{base_name(path)}.txt"
     if not file.is_file():
         return None
-    lines = _lines(file)
-    if len(lines) != frames:
-        raise DatasetError(file, f"{len(lines)} labels for the {frames} frames of {path.name}")
-    return tuple(_label(line, where) for where, line in lines)
+    labels = rows(read_bytes(file), 1, file, delimiter=None)[:, 0]
+    if len(labels) != frames:
+        raise DatasetError(file, f"{len(labels)} labels for the {frames} frames of {path.name}")
+    return _names(labels, file)
+
+
+def _names(labels: Float[np.ndarray, " N"], file: Path) -> tuple[str, ...]:
+    """Names of labels that a file has as numbers, one a line."""
+    wrong = ~np.isin(labels, np.arange(len(LABELS)))
+    if wrong.any():
+        line = int(np.argmax(wrong))
+        raise DatasetError(f"{file}, line {line + 1}", f"label is {labels[line]:g}, expected 0 to {len(LABELS) - 1}")
+    return tuple(LABELS[int(label)] for label in labels)
 
 
 def _features(path: Path) -> tuple[Float[np.ndarray, "C T"], Skeleton]:

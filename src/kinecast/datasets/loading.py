@@ -52,22 +52,6 @@ _FORMATS = (
 FORMATS = tuple(sorted(each.name for each in _FORMATS))  # names of the formats, as `load` takes them
 
 
-def load(path: str | Path, format: str | None = None) -> list[Recording]:
-    """Every recording in a file, or in a folder and all folders in it; at least one, by path, of unique names.
-
-    Hidden files and those that match no format are passed over.
-
-    Args:
-        path: the file or folder.
-        format: one of `FORMATS`; None to find it by content.
-
-    Raises:
-        DatasetError: nothing is found, a file does not match its format, or a recording fails `check`.
-        OptionError: the format is unknown.
-    """
-    return load_all([path], format)
-
-
 CLIPS = ("pick_and_place", "handover")
 """What each recording that comes with kinecast shows."""
 
@@ -83,26 +67,36 @@ def shipped_clips() -> list[Recording]:
         origins of bodies worn at the joints; nothing repaired, NaN where one was not seen.
     """
     with resources.as_file(resources.files("kinecast") / "data" / "clips") as folder:
-        return load_all([folder / f"{name}.csv.xz" for name in CLIPS])
+        return load([folder / f"{name}.csv.xz" for name in CLIPS])
 
 
-def load_all(
-    paths: Sequence[str | Path],
+def load(
+    paths: str | Path | Sequence[str | Path],
     format: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     more: Sequence[Format] = (),
 ) -> list[Recording]:
-    """Every recording in several files or folders, each loaded once; otherwise as `load`.
+    """Every recording in files or folders and all folders in them; at least one, by path, of unique names, each once.
 
-    What lies in one of the folders is one collection; of a file, what lies beside it. `progress` is called
-    with (done, total) files; `more` are formats beside `FORMATS`.
+    Hidden files and those that match no format are passed over. What lies in one of the folders is one collection; of
+    a file, what lies beside it.
+
+    Args:
+        paths: one file or folder, or several.
+        format: one of `FORMATS`; None to find it by content.
+        progress: called with (done, total) files.
+        more: formats beside `FORMATS`.
+
+    Raises:
+        DatasetError: nothing is found, a file does not match its format, or a recording fails `check`.
+        OptionError: the format is unknown.
     """
     known = (*_FORMATS, *more)
     formats = [each for each in known if format in (None, each.name)]
     if not formats:
         raise OptionError(f"format is {format!r}, expected one of {', '.join(sorted(each.name for each in known))}")
     sources: dict[Path, tuple[Path, Format, str]] = {}
-    for path in map(Path, paths):
+    for path in map(Path, [paths] if isinstance(paths, str | Path) else paths):
         if not path.exists():
             raise DatasetError(path, "no such file or folder")
         try:

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from kinecast.datasets.files import BYTE_ORDER_MARK, MOST_POINTS, base_name, head, numbers, read_bytes
 from kinecast.datasets.recording import Description, Recording, describe
@@ -35,20 +35,13 @@ _NUMBERS = ("stamp", *_POSITION, *_COVARIANCE, "made")
 _CHUNK = 1 << 16  # rows written at a time
 
 
-@dataclass(frozen=True)
-class Words:
-    """A column of words, most of them repeated. csv knows no empty words, only missing ones."""
+Words = Shaped[np.ndarray, " R"]
+"""Each row's word, a str: "" where it is missing, since csv knows no empty words, only missing ones."""
 
-    names: tuple[str, ...]  # the different words
-    codes: Int[np.ndarray, " R"]
-    """(R,) place in `names` of each row's word; −1 where it is missing."""
 
-    @classmethod
-    def of(cls, words: Iterable[str | None], times: Int[np.ndarray, " W"] | int = 1) -> Words:
-        """The column of these words, each so many times; None is missing."""
-        places: dict[str, int] = {}
-        codes = [-1 if word is None else places.setdefault(word, len(places)) for word in words]
-        return cls(tuple(places), np.repeat(np.array(codes, dtype=np.int32), times))
+def words(names: Iterable[str], times: Int[np.ndarray, " W"] | int = 1) -> Words:
+    """A column of these words, each so many times."""
+    return np.repeat(np.array(list(names), dtype=object), times)
 
 
 @dataclass(frozen=True)
@@ -87,16 +80,16 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
         raise DatasetError(path, f"persons {persons}: a table holds one recording of each person, and at least one")
     frames, joints = zip(*(each.positions.shape[:2] for each in recordings), strict=True)
     width = np.repeat(joints, frames)
-    labels = [label for each, n in zip(recordings, frames, strict=True) for label in each.labels or [None] * n]
+    labels = [label for each, n in zip(recordings, frames, strict=True) for label in each.labels or [""] * n]
     labelled = any(recording.labels is not None for recording in recordings)
     write_rows(
         path,
         Rows(
             stamp=np.repeat(np.concatenate([recording.stamps for recording in recordings]), width),
-            person=Words.of(persons, np.multiply(frames, joints)),
-            joint=Words.of(joint for each, n in zip(recordings, frames, strict=True) for joint in each.joints * n),
+            person=words(persons, np.multiply(frames, joints)),
+            joint=words(joint for each, n in zip(recordings, frames, strict=True) for joint in each.joints * n),
             position=np.concatenate([recording.positions.reshape(-1, 3) for recording in recordings]),
-            label=Words.of(labels, width) if labelled else None,
+            label=words(labels, width) if labelled else None,
             metadata={"world": _WORLD, "recordings": [asdict(describe(recording)) for recording in recordings]},
         ),
     )
@@ -117,52 +110,51 @@ def load(path: Path) -> list[Recording]:
 
 def recordings_of(rows: Rows, path: Path) -> list[Recording]:
     """As `load`, of rows that were read from the path."""
+    persons = list(dict.fromkeys(rows.person.tolist()))
     if rows.metadata is None or "recordings" not in rows.metadata:
         _require_complete(rows, path)
-        return [_recording(rows, _inferred(rows, person, path), path) for person in rows.person.names]
+        return [_recording(rows, _inferred(rows, person, persons, path), path) for person in persons]
     try:
         described = [Description(**each) for each in rows.metadata["recordings"]]
     except TypeError as error:
         raise DatasetError(path, f"metadata is damaged: {error}") from error
-    persons = {description.person for description in described}
-    _require_complete(rows, path, nameless="" in persons)
-    if unknown := set(rows.person.names) - persons:
+    known = {description.person for description in described}
+    _require_complete(rows, path, nameless="" in known)
+    if unknown := set(persons) - known:
         raise DatasetError(path, f"person {min(unknown)!r} is not in the metadata")
     return [_recording(rows, description, path) for description in described]
 
 
 def _require_complete(rows: Rows, path: Path, nameless: bool = False) -> None:
-    persons = (rows.person.codes < 0) & (not nameless)
-    for column, missing in (("stamp", ~np.isfinite(rows.stamp)), ("joint", rows.joint.codes < 0), ("person", persons)):
+    persons = (rows.person == "") & (not nameless)
+    for column, missing in (("stamp", ~np.isfinite(rows.stamp)), ("joint", rows.joint == ""), ("person", persons)):
         if missing.any():
             raise DatasetError(f"{path}, row {int(np.argmax(missing)) + 1}", f"no {column}")
 
 
-def _inferred(rows: Rows, person: str, path: Path) -> Description:
+def _inferred(rows: Rows, person: str, persons: Sequence[str], path: Path) -> Description:
     """The description of a person in a table without metadata."""
-    mine = rows.person.codes == rows.person.names.index(person)
+    mine = rows.person == person
     stamps = np.unique(rows.stamp[mine])
     if len(stamps) < 2:
         raise DatasetError(path, f"{len(stamps)} frame of person {person!r}; at least 2 are needed to tell the rate")
     rate = measured_rate(stamps)
-    name = base_name(path) if len(rows.person.names) == 1 else f"{base_name(path)}/{person}"
-    joints = [rows.joint.names[code] for code in dict.fromkeys(rows.joint.codes[mine].tolist())]
+    name = base_name(path) if len(persons) == 1 else f"{base_name(path)}/{person}"
+    joints = list(dict.fromkeys(rows.joint[mine].tolist()))
     note = f"rate not stated; {rate:.6g} Hz from the stamps"
     return Description(name, person, joints, rate, str(path), "table", "", "", [note])
 
 
 def _recording(rows: Rows, description: Description, path: Path) -> Recording:
     """One person's rows as a recording; (stamp, joint) pairs without a row are NaN."""
-    person = rows.person.names.index(description.person) if description.person in rows.person.names else -1
-    mine = np.flatnonzero(rows.person.codes == person)
+    mine = np.flatnonzero(rows.person == description.person)
     stamps, frame = np.unique(rows.stamp[mine], return_inverse=True)
     places = {joint: place for place, joint in enumerate(description.joints)}
     if len(stamps) * len(places) > MOST_POINTS:
         raise DatasetError(path, f"{len(stamps)} frames of {len(places)} joints, at most {MOST_POINTS} positions")
-    joint = np.array([places.get(name, -1) for name in rows.joint.names], dtype=np.intp)[rows.joint.codes[mine]]
+    joint = np.array([places.get(name, -1) for name in rows.joint[mine].tolist()], dtype=np.intp)
     for row in mine[joint < 0]:
-        name = rows.joint.names[rows.joint.codes[row]]
-        raise DatasetError(f"{path}, row {row + 1}", f"joint {name!r} is not in the metadata")
+        raise DatasetError(f"{path}, row {row + 1}", f"joint {rows.joint[row]!r} is not in the metadata")
     cell = frame * len(places) + joint
     first = np.unique(cell, return_index=True)[1]
     if len(first) < len(cell):
@@ -180,15 +172,15 @@ def _labels(
     """One label a frame, or None where there are none."""
     if rows.label is None or labelled is False:
         return None
-    given = rows.label.codes[mine]
-    if labelled is None and (given < 0).all():
+    given = rows.label[mine]
+    if labelled is None and (given == "").all():
         return None
-    codes = np.full(frame.max(initial=-1) + 1, -1)
-    codes[frame] = given
-    differs = codes[frame] != given
+    labels = np.full(frame.max(initial=-1) + 1, "", dtype=object)
+    labels[frame] = given
+    differs = labels[frame] != given
     if differs.any():
         raise DatasetError(f"{path}, row {mine[np.argmax(differs)] + 1}", "another label than other rows of its stamp")
-    return tuple(rows.label.names[code] if code >= 0 else "" for code in codes)
+    return tuple(labels)
 
 
 def write_rows(path: Path, rows: Rows) -> None:
@@ -267,12 +259,7 @@ def _check_length(rows: int, path: Path) -> None:
 
 def _write_parquet(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes) -> None:
     pa = _pyarrow()
-
-    def encoded(words: Words) -> Any:
-        codes = pa.array(words.codes, mask=words.codes < 0)
-        return pa.DictionaryArray.from_arrays(codes, pa.array(words.names, type=pa.string()))
-
-    table = pa.table({name: encoded(each) if isinstance(each, Words) else each for name, each in columns.items()})
+    table = pa.table({name: pa.array(each, pa.string()) if name in _WORDS else each for name, each in columns.items()})
     pa.parquet.write_table(table.replace_schema_metadata({_PARQUET_METADATA: metadata}), file, compression="zstd")
 
 
@@ -297,25 +284,22 @@ def _read_parquet(path: Path) -> tuple[dict[str, Any], bytes | None]:
 def _decoded(column: Any) -> Words:
     """A column of strings, plain or encoded, or of numbers that stand for names."""
     pa = _pyarrow()
-    words = column if pa.types.is_dictionary(column.type) else column.cast(pa.string()).dictionary_encode()
-    words = words.unify_dictionaries().combine_chunks()
-    if isinstance(words, pa.ChunkedArray):  # of no rows
-        return Words((), np.empty(0, dtype=np.int32))
-    return Words(tuple(words.dictionary.to_pylist()), words.indices.fill_null(-1).to_numpy().astype(np.int32))
+    texts = column.cast(pa.string()).dictionary_encode().unify_dictionaries().combine_chunks()
+    if isinstance(texts, pa.ChunkedArray):  # of no rows
+        return words(())
+    return words((*texts.dictionary.to_pylist(), ""))[texts.indices.fill_null(-1).to_numpy()]
 
 
 def _write_csv(file: BufferedWriter, columns: Mapping[str, Any], metadata: bytes) -> None:
     """Every word in quotes, a missing one without; every number in as many digits as it needs."""
     file.write(_CSV_METADATA + metadata + b"\n" + ",".join(columns).encode() + b"\n")
     quoted = {
-        name: np.array([*('"' + word.replace('"', '""') + '"' for word in column.names), ""], dtype=object)
-        for name, column in columns.items()
-        if isinstance(column, Words)
-    }  # code -1 finds the last: missing
+        word: word and '"' + word.replace('"', '""') + '"' for name in _WORDS for word in set(columns.get(name, ()))
+    }
     for start in range(0, len(columns["stamp"]), _CHUNK):
         part = slice(start, start + _CHUNK)
         cells = [
-            quoted[name][column.codes[part]] if name in quoted else map(repr, column[part].tolist())
+            map(quoted.__getitem__ if name in _WORDS else repr, column[part].tolist())
             for name, column in columns.items()
         ]
         file.write("".join(",".join(row) + "\n" for row in zip(*cells, strict=True)).encode())
@@ -336,8 +320,8 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
         number_cells = itemgetter(*map(names.index, number_names))
         what = [f"damaged table: {name}" for name in number_names]
         values = array("d")
-        words = {name: (names.index(name), dict[str, int](), array("i")) for name in _WORDS if name in names}
-        rows = 0
+        texts = {name: (names.index(name), list[str]()) for name in _WORDS if name in names}
+        known, rows = dict[str, str](), 0  # each word once in memory
         for row in reader:
             if not row:
                 continue
@@ -345,12 +329,12 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], bytes | None]:
                 problem = f"damaged table: Expected {len(names)} columns, got {len(row)}"
                 raise DatasetError(f"{path}, line {reader.line_num + before}", problem)
             values.extend(numbers(number_cells(row), what, path, reader.line_num + before, infinite=True))
-            for place, known, codes in words.values():
-                codes.append(known.setdefault(row[place], len(known)) if row[place] else -1)
+            for place, column in texts.values():
+                column.append(known.setdefault(row[place], row[place]))
             rows += 1
     except (csv.Error, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}, line {reader.line_num + before}", f"damaged table: {error}") from error
     _check_length(rows, path)
     columns: dict[str, Any] = dict(zip(number_names, np.array(values).reshape(rows, len(number_names)).T, strict=True))
-    columns |= {name: Words(tuple(known), np.array(codes, np.int32)) for name, (_, known, codes) in words.items()}
+    columns |= {name: words(column) for name, (_, column) in texts.items()}
     return columns, metadata

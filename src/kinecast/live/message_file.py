@@ -18,7 +18,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets import table
 from kinecast.datasets.files import MOST_POINTS, chunks
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.table import Rows, Words
+from kinecast.datasets.table import Rows, words
 from kinecast.errors import DatasetError
 from kinecast.live.message import LONGEST_NAME, MessageError, SkeletonMessage, person_of
 from kinecast.pipeline import labelled_frames
@@ -106,10 +106,10 @@ def recordings_of(
     frames, sizes = [each.frame for each in kept], np.array([len(each.frame.joints) for each in kept])
     rows = Rows(
         stamp=np.repeat([frame.stamp for frame in frames], sizes),
-        person=Words.of([persons[each.key] for each in kept], sizes),
-        joint=Words.of(joint for frame in frames for joint in frame.joints),
+        person=words([persons[each.key] for each in kept], sizes),
+        joint=words(joint for frame in frames for joint in frame.joints),
         position=np.concatenate([frame.positions for frame in frames]),
-        label=Words.of([each.label for each in kept], sizes),
+        label=words([each.label or "" for each in kept], sizes),
         metadata={"recordings": described} if described else None,
     )
     recordings = table.recordings_of(rows, path)

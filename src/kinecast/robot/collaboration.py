@@ -14,9 +14,9 @@ from jaxtyping import Float
 from scipy.signal import butter, filtfilt
 
 from kinecast.body.skeleton import ARM_JOINTS
+from kinecast.datasets.reaching import Fetch, fetching
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import repair
-from kinecast.datasets.synthetic import Fetch, fetching
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse, rotation_z, transform
 from kinecast.prediction.method import Method

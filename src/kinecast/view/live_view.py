@@ -20,30 +20,20 @@ from kinecast.view.server import open_server, stop_server, url_of
 if TYPE_CHECKING:
     from kinecast.cameras.overlay import Picture
 
-__all__ = ["LiveView"]
 
 REST, PATIENCE = 0.025, 0.012
 """Between two pictures [s]; after that the next prediction is drawn as it comes, or, after so long, the last one."""
-PICTURE_REST = 0.1
-"""Between two pictures of a camera [s]."""
-GONE = 1.0
-"""A person without a newer prediction for so long is drawn no more [s]."""
-MOST_SHOWN = 16
-"""Persons; of more, those whose predictions are newest."""
-FROM = np.array([1.9, -1.4, 0.9])
-"""Where the first person is looked at from [m]."""
+PICTURE_REST = 0.1  # between two pictures of a camera [s]
+GONE = 1.0  # a person without a newer prediction for so long is drawn no more [s]
+MOST_SHOWN = 16  # persons; of more, those whose predictions are newest
+FROM = np.array([1.9, -1.4, 0.9])  # where the first person is looked at from [m]
 
 
 class LiveView:
     """Draws the newest prediction of every person about 30 times a second: body, arms at every step, tubes, status.
 
-    Args:
-        host, port: where it listens; port 0 is any that is free.
-        scene: obstacles and goals, drawn too.
-        name: of the sink in messages.
-
-    Raises:
-        OptionError: nothing can listen there.
+    The scene, obstacles and goals, is drawn too; port 0 is any that is free, the name is the sink's in messages. An
+    OptionError where nothing can listen there.
     """
 
     def __init__(self, host: str, port: int, scene: Scene | None = None, name: str = "the view") -> None:

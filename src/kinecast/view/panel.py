@@ -16,29 +16,17 @@ from kinecast.robot.episode import SceneSnapshot
 from kinecast.types import Decision
 from kinecast.view.playback import Playback, Run, Setting, Simulations
 
-__all__ = ["Panel", "decisions_html", "figures_html", "state_html"]
-
 LEVELS = {f"{100 * level:g} %": level for level in (0.5, 0.8, 0.9, 0.95, 0.99)}
 RATES = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0}
-STEP = 0.05
-"""Of the slider [s]."""
-LAST = 4
-"""Decisions shown."""
+STEP = 0.05  # of the slider [s]
+LAST = 4  # decisions shown
 PREPARING = "The simulation is being prepared …"
 FRAME = f"font-size:13px;line-height:1.4;color:{hex_of(INK)};padding:2px 14px 6px 14px"
 GREY = f"color:{hex_of(MUTED)}"
 
 
 class Panel:
-    """Texts and controls.
-
-    Args:
-        gui: of the server.
-        setting: what is simulated first.
-        simulations: to choose from.
-        playback: what play, pause and slider act on.
-        layers: of the stage, and which are shown; changed by the checkboxes.
-    """
+    """Texts and controls; play, pause and slider act on the playback, checkboxes change which layers are shown."""
 
     def __init__(
         self, gui: GuiApi, setting: Setting, simulations: Simulations, playback: Playback, layers: dict[str, bool]

@@ -13,8 +13,6 @@ from kinecast.robot.episode import Episode, SceneSnapshot
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Decision
 
-__all__ = ["Playback", "Run", "Setting", "Simulations"]
-
 log = logging.getLogger(__name__)
 
 
@@ -40,13 +38,7 @@ class Simulations:
 
 
 class Run:
-    """Simulates as fast as it can, and waits for nobody who looks on; one at a time.
-
-    Args:
-        setting: what.
-        simulations: how.
-        before: the run that is given up for this one.
-    """
+    """Simulates as fast as it can, and waits for nobody who looks on; the run before is given up for it."""
 
     def __init__(self, setting: Setting, simulations: Simulations, before: Run | None = None) -> None:
         self.setting, self.episode, self.ending = setting, Episode(), ""
@@ -93,16 +85,11 @@ class Run:
 
 
 class Playback:
-    """A position in a run. It plays until the newest moment, and waits there while the run goes on.
-
-    Args:
-        run: to begin with.
-    """
+    """A position in a run. It plays until the newest moment, and waits there while the run goes on."""
 
     def __init__(self, run: Run) -> None:
         self._lock = threading.Lock()
-        self.rate = 1.0
-        """How fast it plays; 1 as it happened."""
+        self.rate = 1.0  # how fast it plays; 1 as it happened
         self.load(run)
 
     def load(self, run: Run) -> None:

@@ -15,8 +15,6 @@ from kinecast.geometry.transforms import to_quaternion
 from kinecast.robot.body import TRUE_BODY, body_capsules
 from kinecast.robot.colours import SHIRT, SKIN, SKIN_PARTS, Colour
 
-__all__ = ["CapsulesNode", "People", "ahead", "capsule_faces", "capsule_vertices", "draw_floor", "draw_scene", "tubes"]
-
 AROUND, UP = 20, 12
 """Corners around a capsule's axis; rings from one cap's pole to the other's, half of them on each cap."""
 OBSTACLE: Colour = (150, 140, 125)
@@ -28,10 +26,9 @@ SKIN_ROWS, SHIRT_ROWS = np.flatnonzero(SKIN_PARTS), np.flatnonzero(np.logical_no
 
 
 def capsule_vertices(rows: Float[np.ndarray, "K 7"]) -> Float[np.ndarray, "W 3"]:
-    """(K V, 3) corners of K capsules [m], in the order of `capsule_faces`.
+    """(K V, 3) corners of K capsules [m], in the order of `capsule_faces`, from start, end and radius (K, 7) [m].
 
-    Args:
-        rows: (K, 7) start, end and radius [m]; a capsule that is not finite shrinks to a point at the origin.
+    A capsule that is not finite shrinks to a point at the origin.
     """
     rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, 0.0)
     start, along, radius = rows[:, :3], rows[:, 3:6] - rows[:, :3], rows[:, 6]
@@ -57,14 +54,7 @@ def capsule_faces(count: int) -> Int[np.ndarray, "F 3"]:
 
 
 class CapsulesNode:
-    """Capsules of one colour, as many as there are at a time.
-
-    Args:
-        scene: of the server.
-        name: of the node.
-        colour: of all.
-        opacity: None for solid ones.
-    """
+    """Capsules of one colour, as many as there are at a time; with an opacity they are not solid."""
 
     def __init__(self, scene: SceneApi, name: str, colour: Colour, opacity: float | None = None) -> None:
         self._scene, self._name, self._colour, self._opacity = scene, name, colour, opacity
@@ -92,11 +82,7 @@ class CapsulesNode:
 
 
 class People:
-    """Bodies around measured joints.
-
-    Args:
-        scene: of the server.
-    """
+    """Bodies around measured joints."""
 
     def __init__(self, scene: SceneApi) -> None:
         self.skin = CapsulesNode(scene, "/people/skin", SKIN)

@@ -12,8 +12,6 @@ from websockets.exceptions import InvalidHandshake
 
 from kinecast.errors import OptionError
 
-__all__ = ["open_server", "stop_server", "url_of"]
-
 
 class _Server(ViserServer):
     """A server that opens no tunnel to a public address, whoever asks for one."""
@@ -29,14 +27,9 @@ def _worth_a_trace(record: logging.LogRecord) -> bool:
 
 
 def open_server(host: str, port: int, name: str) -> ViserServer:
-    """A server with an empty scene and a panel on the right.
+    """A server with an empty scene and a panel on the right; port 0 is any that is free.
 
-    Args:
-        host, port: where it listens; port 0 is any that is free.
-        name: of the address in messages.
-
-    Raises:
-        OptionError: nothing can listen there; the message says why.
+    An OptionError that begins with the name, and says why, where nothing can listen there.
     """
     if not 0 <= port <= 65535:
         raise OptionError(f"{name}: allowed is 0 (any free one) to 65535")

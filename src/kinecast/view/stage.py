@@ -12,8 +12,6 @@ from kinecast.robot.ur5 import LINKS, UR5
 from kinecast.types import RobotState
 from kinecast.view.scene_nodes import CapsulesNode, People, ahead, draw_floor, tubes
 
-__all__ = ["Stage", "look"]
-
 TABLE, LEG = (224, 203, 165), (150, 136, 112)
 PARTS = {
     "bones": ((205, 211, 218), ("upper_arm", "forearm")),
@@ -34,15 +32,13 @@ def look(camera: InitialCameraConfig) -> None:
 class Stage:
     """Everything that is seen.
 
-    Args:
-        scene: of the server.
-        cell: the table, and where cubes are to go.
+    Attributes:
+        layers: what can be hidden: predicted wrists, occupied space, planned path.
     """
 
     def __init__(self, scene: SceneApi, cell: Cell) -> None:
         self.arm = UR5()
         self.layers = {"samples": True, "region": True, "path": True}
-        """What can be hidden: predicted wrists, occupied space, planned path."""
         _draw_furniture(scene, cell)
         start, end, radius = self.arm.pedestal
         CapsulesNode(scene, "/robot/base", PARTS["gripper"][0]).show(np.array([[*start, *end, radius]]))

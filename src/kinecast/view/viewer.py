@@ -11,24 +11,14 @@ from kinecast.view.playback import Playback, Run, Setting, Simulations
 from kinecast.view.server import open_server, stop_server, url_of
 from kinecast.view.stage import Stage, look
 
-__all__ = ["Viewer"]
-
-PERIOD = 1 / 30
-"""Between two moments sent [s]."""
-LEAP = 0.1
-"""A busy machine plays more slowly rather than in leaps longer than this [s]."""
+PERIOD = 1 / 30  # between two moments sent [s]
+LEAP = 0.1  # a busy machine plays more slowly rather than in leaps longer than this [s]
 
 
 class Viewer:
     """Serves the cell to any number of browsers, which all see and control the same.
 
-    Args:
-        host, port: where it listens; port 0 is any that is free.
-        setting: what is simulated first.
-        simulations: what can be.
-
-    Raises:
-        OptionError: nothing can listen there.
+    The setting is simulated first; port 0 is any that is free. An OptionError where nothing can listen there.
     """
 
     def __init__(self, host: str, port: int, setting: Setting, simulations: Simulations) -> None:

@@ -72,8 +72,8 @@ def test_what_is_no_model_and_too_many_people_are_refused(model: Path, tmp_path:
     for path in (tmp_path / "bad.task", tmp_path / "none.task", tmp_path):
         with pytest.raises(ModelError, match="is no PoseLandmarker model"):
             Landmarker(path)
-    with pytest.raises(OptionError, match=r"people 5 is outside 1\.\.4"):
-        Landmarker(model, people=5)
+    with pytest.raises(OptionError, match=r"people '5' is outside 1\.\.4"):
+        WebcamOptions.parse({"model": str(model), "people": "5"}, "camera:0")
 
 
 def test_a_camera_of_a_rig_gives_pixels_and_no_depth(photograph: np.ndarray, model: Path, tmp_path: Path) -> None:

@@ -107,8 +107,8 @@ def replaced(clip: Path, old: str, new: str) -> None:
         (lambda clip: replaced(clip, "1\t0\t2\t", "1\t0\t"), r"FrameID11_\d+\.txt, line 2: 13 columns"),
         (lambda clip: replaced(clip, "1\t5\t2\t", "1\t5\thigh\t"), r"line 7: column 3 is 'high'"),
         (lambda clip: replaced(clip, "1\t5\t2\t", "1\t6\t2\t"), r"FrameID11_.*: body 1 has 32 rows"),
-        (lambda clip: (clip / "Labels.txt").write_text("10 1\n"), r"Labels\.txt, line 1: found '10 1'"),
-        (lambda clip: (clip / "Labels.txt").write_text("10 1 1\n11 13 1\n"), r"line 2: label is '13'"),
+        (lambda clip: (clip / "Labels.txt").write_text("10 1\n"), r"Labels\.txt, line 1: 2 columns, expected 3"),
+        (lambda clip: (clip / "Labels.txt").write_text("10 1 1\n11 13 1\n"), r"line 2: label is 13, expected 0 to 12"),
         (lambda clip: (clip / "Skeletons/Camera0/FrameID11_x.txt").touch(), r"frame 11 is also in FrameID11"),
     ],
 )  # fmt: skip
@@ -166,7 +166,7 @@ def test_feature_labels_lie_beside(file: Path, motion: Callable[..., np.ndarray]
     with pytest.raises(DatasetError, match=r"IDU003V004\.txt: 2 labels for the 3 frames of IDU003V004\.npy"):
         ha4m.load_features(file)
     labels.write_text("0\n11\nscrew\n")
-    with pytest.raises(DatasetError, match=r"IDU003V004\.txt, line 3: label is 'screw', expected 0 to 12"):
+    with pytest.raises(DatasetError, match=r"IDU003V004\.txt, line 3: column 1 is 'screw', expected a number"):
         ha4m.load_features(file)
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS, HA4M_UPPER_23, LEGO_6, VICON
 from kinecast.datasets import table
-from kinecast.datasets.loading import FORMATS, check, load, load_all
+from kinecast.datasets.loading import FORMATS, check, load
 from kinecast.datasets.recording import Recording
 from kinecast.errors import DatasetError, OptionError
 
@@ -121,12 +121,12 @@ def test_names_are_unique_over_everything_loaded(tmp_path: Path, recording: Reco
     table.write(sourceless, [recording])
     again = tmp_path / "c.parquet"
     table.write(again, [recording])
-    names = [each.name for each in load_all([*paths, sourceless, again])]
+    names = [each.name for each in load([*paths, sourceless, again])]
     assert names == ["one/made", "two/made", "made", "made#2"]
 
 
 def test_a_file_given_twice_is_loaded_once(mixed: Path) -> None:
-    assert len(load_all([mixed, mixed / "Stack" / "2.csv.xz", mixed / "Stack"])) == 7
+    assert len(load([mixed, mixed / "Stack" / "2.csv.xz", mixed / "Stack"])) == 7
 
 
 def test_links_to_folders_are_not_followed(mixed: Path) -> None:
@@ -211,7 +211,7 @@ def test_real_recordings_of_every_format_at_hand_load(data_root: Path) -> None:
     counts = {"vicon": 6, "ha4m-features": 2, "lego": 14, "kth-handover": 2}
     takes = sorted((data_root / "human_robot_animations").glob("*/0.csv.xz"))
     others = [data_root / name for name in ("ha4m_features_demo", "human_assembly_data", "kth_handover_sample")]
-    recordings = load_all([*takes, *others])
+    recordings = load([*takes, *others])
     assert len({recording.name for recording in recordings}) == len(recordings)
     assert Counter(recording.format for recording in recordings) == counts
     for recording in recordings:

@@ -277,21 +277,17 @@ def archive_of(**files: bytes) -> bytes:
     return content.getvalue()
 
 
-def offer(server: Server, archive: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def known(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     """A model `net` in an archive on the server."""
 
     def remote(name: str, content: bytes) -> RemoteFile:
         return RemoteFile(name, f"sha256:{hashlib.sha256(content).hexdigest()}", len(content))
 
-    server.files["net.zip"] = archive
+    archive = server.files["net.zip"] = archive_of(end2end=NETWORK)
     files = (remote("net.zip", archive),)
     public = PublicSet("net", "a network", "MIT", "home", server.url, files, remote("net.onnx", NETWORK))
     monkeypatch.setattr(remote_file, "public_sets", lambda: {"net": public})
-
-
-@pytest.fixture
-def known(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    offer(server, archive_of(end2end=NETWORK), monkeypatch)
 
 
 @pytest.mark.usefixtures("known")
@@ -308,16 +304,6 @@ def test_another_file_of_the_same_size_is_refused(server: Server, tmp_path: Path
     with pytest.raises(DownloadError, match="checksum"):
         download("net", tmp_path, patience=0.0)
     assert everything_in(tmp_path) == set()
-
-
-@pytest.mark.parametrize("files", [{}, {"a": NETWORK, "b": NETWORK}, {"a": NETWORK[::-1]}])
-def test_an_archive_with_something_else_gives_no_model(
-    files: dict[str, bytes], server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    offer(server, archive_of(**files), monkeypatch)
-    with pytest.raises(DownloadError, match=r"net\.zip: .*(expected one|checksum)"):
-        download("net", tmp_path, patience=0.0)
-    assert everything_in(tmp_path) == {"net.zip"}
 
 
 def test_what_is_there_is_found_and_what_is_not_is_named_with_its_command(

@@ -16,7 +16,7 @@ import pytest
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.datasets import table, vicon
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.table import Rows, Words, read_rows, write_rows
+from kinecast.datasets.table import Rows, read_rows, words, write_rows
 from kinecast.errors import DatasetError, OptionError
 
 SUFFIXES = (".parquet", ".csv")
@@ -102,23 +102,18 @@ def test_every_column_round_trips(tmp_path: Path, suffix: str) -> None:
     rng = np.random.default_rng(1)
     rows = Rows(
         stamp=np.array([0.0, 0.0, 0.1]),
-        person=Words.of(["p", "p", "q"]),
-        joint=Words.of(["left_wrist", "nose", "nose"]),
+        person=words(["p", "p", "q"]),
+        joint=words(["left_wrist", "nose", "nose"]),
         position=rng.normal(size=(3, 3)),
         made=np.array([0.0, np.nan, 0.1]),
         covariance=rng.normal(size=(3, 6)),
-        label=Words.of(["a", None, ""]),
+        label=words(["a", "", "é"]),
         metadata={"rate": 30.0, "source": "test"},
     )
     write_rows(tmp_path / f"a{suffix}", rows)
     found = read_rows(tmp_path / f"a{suffix}")
-    for name in ("stamp", "position", "made", "covariance"):
+    for name in ("stamp", "position", "made", "covariance", "person", "joint", "label"):
         np.testing.assert_array_equal(getattr(found, name), getattr(rows, name))
-    for name in ("person", "joint", "label"):
-        column, expected = getattr(found, name), getattr(rows, name)
-        read = [(*column.names, None)[code] for code in column.codes]
-        written = [(*expected.names, None)[code] for code in expected.codes]
-        assert read == (written if suffix == ".parquet" else [word or None for word in written])
     assert found.metadata == rows.metadata
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from benchmarks.generated_people import SyntheticOptions, generate
 
 from kinecast.body.posture import points_from_postures
-from kinecast.datasets.synthetic import SyntheticOptions, generate
 from kinecast.datasets.windows import WindowOptions
 from kinecast.pipeline import training_windows
 from kinecast.prediction import paper

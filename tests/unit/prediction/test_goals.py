@@ -10,7 +10,7 @@ import pytest
 from kinecast import Predictor, PredictorOptions, Scene
 from kinecast.body.limits import violations
 from kinecast.body.posture import postures_from_points
-from kinecast.datasets.synthetic import Fetch, fetching
+from kinecast.datasets.reaching import Fetch, fetching
 from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.regions import Regions
 from kinecast.geometry.shapes import Box, HalfSpace, Sphere

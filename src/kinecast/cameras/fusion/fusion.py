@@ -8,6 +8,7 @@ into one weighted least squares.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from itertools import count
 
@@ -36,9 +37,8 @@ class Fusion:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.late = 0  # images that came too late to be used
-        self.thrown_out = dict.fromkeys(rig.cameras, 0)  # measurements that disagreed with most, or were of nobody
-        self.used = dict.fromkeys(rig.cameras, 0)  # those that went in
+        self.used = Counter[str]()  # measurements of each camera that went in
+        self.thrown_out = Counter[str]()  # those that disagreed with most, or were of nobody
         self._names = count(1)
         self._late_in_a_row = 0
         self._start_anew()
@@ -59,7 +59,6 @@ class Fusion:
         if camera not in self.rig.cameras or not math.isfinite(stamp):
             return []
         if stamp < self._stamp - OLDEST:
-            self.late += 1
             self._late_in_a_row += 1
             if self._late_in_a_row < ELSEWHERE:
                 return []
@@ -89,7 +88,7 @@ class Fusion:
         self._people = [each for each in unseen if unseen[each] < (FORGET if each.confirmed else FORGET_DOUBTFUL)]
         for person in self._people:
             person.states.advance(self._stamp)
-        strangers = self._recognise([[m for m in seen if m.stamp >= newest - OLDEST] for seen in images.values()])
+        strangers = self._recognise([[m for m in seen if m.stamps[0] >= newest - OLDEST] for seen in images.values()])
         self._welcome(strangers)
         kept: list[Person] = []  # of two who stand in one another, who was seen in fewer rounds is nobody
         for person in sorted(self._people, key=lambda person: -person.rounds):
@@ -126,10 +125,9 @@ class Fusion:
         return strangers
 
     def _update(self, person: Person, measurements: list[Measurement]) -> None:
-        left_out = person.update(measurements)
-        for each in measurements:
-            counted = self.thrown_out if each in left_out else self.used
-            counted[each.camera] += 1
+        left_out = Counter(each.camera for each in person.update(measurements))
+        self.thrown_out += left_out
+        self.used += Counter(each.camera for each in measurements) - left_out
 
     def _welcome(self, strangers: list[Measurement]) -> None:
         """Measurements of nobody known: people who came, if they are far enough from everybody."""
@@ -155,8 +153,7 @@ class Fusion:
                 self._update(self._people[-1], fitting)
                 strangers = [each for each in strangers if each not in fitting]
                 nobodies = [each for each in nobodies if each not in fitting]
-        for each in nobodies:
-            self.thrown_out[each.camera] += 1
+        self.thrown_out.update(each.camera for each in nobodies)
 
 
 def _fitting(measurements: list[Measurement], person: Person) -> list[Measurement]:

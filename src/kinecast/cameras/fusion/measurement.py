@@ -43,25 +43,50 @@ STEREO_STD = 0.0024
 """Standard deviation of a depth, by its square [1/m]: 0.08 px / (674 px · 50 mm), a RealSense D435 at 1280 px."""
 
 
+Places = Float[np.ndarray, "*h J 3"]
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """One person in one image; of several images, with an axis V before all others."""
+    """One person in V images: each joint's place in the world p [m], of which `rows` p = `values` is said."""
 
-    stamp: Any  # when the image was taken [s]; (V,) of several
-    rows: Float[np.ndarray, "*v J 3 3"]  # what each joint's place in the world is multiplied with
-    values: Float[np.ndarray, "*v J 3"]  # what that should give
-    near: Float[np.ndarray, "*v J 3"]  # standard deviation of `values`: √(near² + (far z)²), z the depth
-    far: Float[np.ndarray, "*v J 3"]
-    seen: Bool[np.ndarray, "*v J 2"]  # whether there are the first two rows, whether there is the third
-    axis: Float[np.ndarray, "*v 4"]  # z = axis[:3] · p + axis[3]
+    stamps: Float[np.ndarray, " V"]  # when they were taken [s]
+    rows: Float[np.ndarray, "V J 3 3"]
+    values: Float[np.ndarray, "V J 3"]
+    near: Float[np.ndarray, "V J 3"]  # standard deviation of `values`: √(near² + (far z)²), z the depth
+    far: Float[np.ndarray, "V J 3"]
+    seen: Bool[np.ndarray, "V J 2"]  # whether there are the first two rows, whether there is the third
+    axis: Float[np.ndarray, "V 4"]  # z = axis[:3] · p + axis[3]
     camera: str = ""  # its name; empty of several
 
+    @classmethod
+    def stacked(cls, images: Sequence[Measurement]) -> Measurement:
+        """Several images of one person as one measurement."""
+        parts = ("stamps", "rows", "values", "near", "far", "seen", "axis")
+        arrays: list[Any] = [np.concatenate([getattr(each, part) for each in images]) for part in parts]
+        return cls(*arrays)
 
-def stacked(measurements: Sequence[Measurement]) -> Measurement:
-    """Several images of one person."""
-    parts = ("stamp", "rows", "values", "near", "far", "seen", "axis")
-    arrays: list[Any] = [np.stack([getattr(each, part) for each in measurements]) for part in parts]
-    return Measurement(*arrays)
+    def variance(self, places: Places) -> Float[np.ndarray, "*h V J 3"]:
+        """(…, V, J, 3) σ² of every row if the joints were at these places (…, J, 3)."""
+        return self.near**2 + (self.far * self._depths(places)[..., None]) ** 2
+
+    def squared_errors(
+        self, places: Places, covariance: Float[np.ndarray, "J 3 3"] | None = None
+    ) -> Float[np.ndarray, "*h V J 2"]:
+        """(…, V, J, 2) squared errors of pixels and of depths, in standard deviations; inf behind a camera.
+
+        Places are (…, J, 3), certain or with a covariance (J, 3, 3) [m²].
+        """
+        variance = self.variance(places)
+        if covariance is not None:
+            variance = variance + np.einsum("vjrx,jxy,vjry->vjr", self.rows, covariance, self.rows)
+        with np.errstate(invalid="ignore"):
+            square = (np.einsum("vjrx,...jx->...vjr", self.rows, places) - self.values) ** 2 / variance
+        square = np.where((self._depths(places) > 0)[..., None] & np.isfinite(square), square, np.inf)
+        return np.stack([square[..., 0] + square[..., 1], square[..., 2]], axis=-1)
+
+    def _depths(self, places: Places) -> Float[np.ndarray, "*h V J"]:
+        return np.einsum("vx,...jx->...vj", self.axis[:, :3], places) + self.axis[:, 3:]
 
 
 def skin_depths(joints: Sequence[str]) -> Float[np.ndarray, " J"]:
@@ -69,18 +94,15 @@ def skin_depths(joints: Sequence[str]) -> Float[np.ndarray, " J"]:
     return np.array([SKIN_DEPTH.get(without_side(joint), 0.0) for joint in joints])
 
 
-_COLUMNS = {joint: column for column, joint in enumerate(FUSED_JOINTS)}
 _SKIN_DEPTHS = skin_depths(FUSED_JOINTS)
 
 
 def of_detection(camera: PinholeCamera, person: Detection, stamp: float) -> Measurement:
     """From pixels and depths; whatever they are, nothing is raised."""
     i, T = camera.intrinsics, camera.T_camera_world
-    source, target = _shared(person.joints)
-    pixels, others = np.full((len(_COLUMNS), 2), np.nan), np.full((4, len(_COLUMNS)), np.nan)
-    pixels[target] = person.pixels[source]
-    others[:, target] = np.stack([person.pixel_std, person.depth, person.depth_std, person.confidence])[:, source]
-    pixel_std, depth, depth_std, confidence = others
+    pixels, pixel_std, depth, depth_std, confidence = _in_order(
+        person.joints, person.pixels, person.pixel_std, person.depth, person.depth_std, person.confidence
+    )
     with np.errstate(invalid="ignore", over="ignore"):
         inside = (np.abs(pixels) < 4 * max(i.width, i.height)).all(axis=1)
         pixels[~inside | (confidence < LEAST_CONFIDENCE)] = np.nan
@@ -105,17 +127,14 @@ def of_detection(camera: PinholeCamera, person: Detection, stamp: float) -> Meas
     near[:, 2] = np.where(deep, np.sqrt(depth_std**2 + SKIN_STD**2 + PLACE_STD**2), 1.0)
     angle_std = np.hypot(pixel_std[:, None] / (i.fx, i.fy), ANGLE_STD)
     far[:, :2] = np.where(seen[:, None], angle_std, 1.0)
-    return Measurement(stamp, local[..., :3], values, near, far, np.stack([seen, deep], 1), T[2], camera.name)
+    return _of_one(camera, stamp, local[..., :3], values, near, far, np.stack([seen, deep], 1))
 
 
 def of_skeleton(camera: PinholeCamera, person: SkeletonFrame, stamp: float) -> Measurement:
     """From a skeleton in the camera's own axes, as depth cameras with a tracker of their own give it."""
     T = camera.T_camera_world
-    source, target = _shared(person.joints)
-    positions, std = np.full((len(_COLUMNS), 3), np.nan), np.full(len(_COLUMNS), np.nan)
-    positions[target] = person.positions[source]
-    if person.std is not None:
-        std[target] = person.std[source]
+    unknown = np.full(len(person.joints), np.nan)
+    positions, std = _in_order(person.joints, person.positions, unknown if person.std is None else person.std)
     with np.errstate(invalid="ignore"):
         seen = (np.abs(positions) < FAR).all(axis=1)
         std = np.where((std > 0) & (std < FAR), np.maximum(std, LEAST_STD), TRACKER_STD)
@@ -123,11 +142,21 @@ def of_skeleton(camera: PinholeCamera, person: SkeletonFrame, stamp: float) -> M
     values = np.where(seen[:, None], positions, 0.0) - T[:3, 3]
     near = np.tile(np.hypot(std, PLACE_STD)[:, None], 3)
     far = np.tile([ANGLE_STD, ANGLE_STD, 0.0], (len(seen), 1))
-    return Measurement(stamp, rows, values, near, far, np.stack([seen, seen], 1), T[2], camera.name)
+    return _of_one(camera, stamp, rows, values, near, far, np.stack([seen, seen], 1))
+
+
+def _of_one(camera: PinholeCamera, stamp: float, *parts: np.ndarray) -> Measurement:
+    rows, values, near, far, seen = (part[None] for part in parts)
+    axis = camera.T_camera_world[None, 2]
+    return Measurement(np.array([stamp]), rows, values, near, far, seen, axis, camera.name)
+
+
+def _in_order(joints: tuple[str, ...], *values: Float[np.ndarray, "J ..."]) -> list[np.ndarray]:
+    """Values of joints in the order of `FUSED_JOINTS`, NaN of those that are not among them."""
+    rows = _rows(joints)
+    return [np.concatenate([each, np.full((1, *each.shape[1:]), np.nan)])[rows] for each in values]
 
 
 @lru_cache(maxsize=64)
-def _shared(joints: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """Columns of a source and of the result, of the joints that both have."""
-    shared = [(column, _COLUMNS[joint]) for column, joint in enumerate(joints) if joint in _COLUMNS]
-    return [source for source, _ in shared], [target for _, target in shared]
+def _rows(joints: tuple[str, ...]) -> list[int]:
+    return [joints.index(joint) if joint in joints else -1 for joint in FUSED_JOINTS]

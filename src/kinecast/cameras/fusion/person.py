@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from kinecast.cameras.fusion.consensus import LIMITS, Consensus
 from kinecast.cameras.fusion.kalman import JointStates
-from kinecast.cameras.fusion.measurement import FUSED_JOINTS, Measurement, stacked
+from kinecast.cameras.fusion.measurement import FUSED_JOINTS, Measurement
 from kinecast.types import SkeletonFrame
 
 STANDING = 0.8  # share of the variance of what images say that stays in the next: a pose estimator's errors do
@@ -36,12 +36,12 @@ class Person:
     def update(self, measurements: Sequence[Measurement]) -> list[Measurement]:
         """Takes at most one measurement of each camera, and returns those that disagree as a whole."""
         states = self.states
-        images = stacked(measurements)
+        images = Measurement.stacked(measurements)
         consensus = Consensus(images, states, self._standing)
         lost = states.known & ~consensus.past
         located = np.isfinite(consensus.positions).all(axis=1)
         start = located & (lost | ~states.known)
-        going_on, delay = ~start[:, None], states.stamp - float(np.mean(images.stamp))
+        going_on, delay = ~start[:, None], states.stamp - float(np.mean(images.stamps))
         states.correct(consensus.information * going_on[..., None], consensus.surprise * going_on, delay)
         states.start(start, consensus.positions, consensus.covariance)
         touched = start | (states.known & consensus.used.any(axis=(0, 2)) & ~lost)
@@ -56,20 +56,13 @@ class Person:
 
         Squared Mahalanobis distances of pixels and depths, each up to its limit: their mean share of the limit.
         """
-        places = self.states.at(np.array([measurement.stamp]))[0]
-        covariance = self.states.covariance[:, :3, :3] + self._standing
-        both = measurement.seen[:, 0] & self.states.known
-        if both.sum() < LEAST_SHARED:
+        both = measurement.seen & self.states.known[:, None]
+        if both[..., 0].sum() < LEAST_SHARED:
             return np.inf
-        places, rows, deep = places[both], measurement.rows[both], measurement.seen[both, 1]
-        z = places @ measurement.axis[:3] + measurement.axis[3]
-        off = np.einsum("jrx,jx->jr", rows, places) - measurement.values[both]
-        noise = measurement.near[both] ** 2 + (measurement.far[both] * z[:, None]) ** 2
-        square = off * off / (noise + np.einsum("jrx,jxy,jry->jr", rows, covariance[both], rows))
-        square[(z <= 0)[:, None] | ~np.isfinite(square)] = np.inf
-        pixel = np.minimum(square[:, 0] + square[:, 1], LIMITS[0]).sum()
-        depth = np.minimum(square[:, 2], LIMITS[1])[deep].sum()
-        return float((pixel + depth) / (LIMITS @ (len(z), deep.sum())))
+        covariance = self.states.covariance[:, :3, :3] + self._standing
+        square = measurement.squared_errors(self.states.at(measurement.stamps)[0], covariance)
+        limits = LIMITS * both
+        return float(np.minimum(square, limits).sum() / limits.sum())
 
     def apart(self, other: Person) -> float:
         """Median distance between this person's joints and another's [m]; inf where they share none."""

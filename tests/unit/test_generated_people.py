@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks import generated_people
+from benchmarks.generated_people import SyntheticOptions, generate, generate_clean, table_scene
 from scipy.interpolate import make_interp_spline
 
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.body.skeleton import ARM_JOINTS, JOINTS
 from kinecast.body.torso_frame import torso_frame
-from kinecast.datasets import synthetic
+from kinecast.datasets.reaching import TABLE, Path, arch, minimum_jerk
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.synthetic import SyntheticOptions, generate, generate_clean, table_scene
-from kinecast.datasets.synthetic.activity import TABLE, Path, arch, minimum_jerk
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse
 
@@ -29,7 +29,7 @@ WRISTS = [2, 5]
 
 @pytest.fixture(scope="module")
 def performances() -> list[tuple[Recording, np.random.SeedSequence]]:
-    return synthetic._performances(OPTIONS, seed=5)
+    return generated_people._performances(OPTIONS, seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +45,8 @@ def tracked(
 
     def make(**flaws: float) -> list[Recording]:
         for name in FLAWS:
-            monkeypatch.setattr(synthetic, name, flaws.get(name, 0.0))
-        monkeypatch.setattr(synthetic, "_performances", lambda *_: performances)
+            monkeypatch.setattr(generated_people, name, flaws.get(name, 0.0))
+        monkeypatch.setattr(generated_people, "_performances", lambda *_: performances)
         return generate(OPTIONS, seed=5)
 
     return make
@@ -97,7 +97,7 @@ def test_bones_are_rigid_and_bodies_differ(clean: list[Recording]) -> None:
 
 
 def test_arms_keep_clear_of_the_table_and_within_joint_limits_and_speeds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(synthetic, "HESITATION", 0.5)
+    monkeypatch.setattr(generated_people, "HESITATION", 0.5)
     scene = table_scene()
     for recording in generate_clean(replace(OPTIONS, subjects=5), seed=11):
         arms = np.ascontiguousarray(recording.positions[:, :6])
@@ -161,7 +161,7 @@ def test_a_crate_keeps_both_hands_apart_while_it_is_carried(clean: list[Recordin
 def test_hesitation_changes_some_reaches(monkeypatch: pytest.MonkeyPatch) -> None:
     people = []
     for share in (0.0, 1.0):
-        monkeypatch.setattr(synthetic, "HESITATION", share)
+        monkeypatch.setattr(generated_people, "HESITATION", share)
         people.append(generate_clean(replace(OPTIONS, subjects=3, recordings=1), 3))
     for a, b in zip(*people, strict=True):
         assert np.abs(a.positions - b.positions).max() > 0.1

@@ -1,12 +1,12 @@
-"""Generated people at a table: used where no recording can be shipped, and where the truth must be known.
+"""Generated people who reach, pick, carry and place at a table, before a tracker: where the truth must be known.
 
-Here: what can be chosen, the scene, and what a tracker makes of the people. physique: how a person is built and posed.
-activity: what people do, when, and on which paths.
+Here: what can be chosen, the scene, what people do and when, and what a tracker makes of them. How they are built and
+move is kinecast.datasets.reaching.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import cycle
 
@@ -14,14 +14,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
+from kinecast.datasets.physique import JOINTS, Body
+from kinecast.datasets.reaching import LEFT, RIGHT, TABLE, WRIST_HEIGHT, Actor, Point
 from kinecast.datasets.recording import Recording
-from kinecast.datasets.synthetic.activity import LEFT, RIGHT, TABLE, TASKS, WRIST_HEIGHT, Actor
-from kinecast.datasets.synthetic.physique import JOINTS, Body
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Sphere
 
 HESITATION = 0.1  # share of reaches that set out for another goal first
+HANDLE = 0.13  # from the middle of the crate to each hand [m]
 
 # The tracker, as two HA4M clips show one at 30 Hz
 NOISE = 0.0015
@@ -53,16 +54,6 @@ class SyntheticOptions:
         for name, (low, high) in RANGES.items():
             if not low <= (value := getattr(self, name)) <= high:
                 raise OptionError(f"{name} {value} is outside {low}..{high}")
-
-
-@dataclass(frozen=True, eq=False)
-class Fetch:
-    """One reach."""
-
-    start: float  # when it begins [s]
-    place: Float[np.ndarray, "3"]  # of the wrist, in the person's frame: on the floor, x forward, z up [m]
-    hold: float = 1.0  # how long the hand stays there [s]
-    left: bool | None = None  # with which hand; None for the one on the place's side
 
 
 def table_scene() -> Scene:
@@ -111,49 +102,148 @@ def _performances(options: SyntheticOptions, seed: int) -> list[tuple[Recording,
         body = Body.sample(np.random.default_rng(build))
         for take, (task, source) in enumerate(zip(cycle(TASKS), takes, strict=False)):
             motion, sensor = source.spawn(2)
-            actor = Actor(body, scene, np.random.default_rng(motion), HESITATION)
-            actor.perform(task, options.duration)
-            performances.append((_recorded(actor, stamps, options.rate, f"{subject}-{take}", subject, task), sensor))
+            worker = Worker(body, scene, np.random.default_rng(motion))
+            worker.perform(task, options.duration)
+            truth = Recording(
+                name=f"synthetic/{task}/{subject}-{take}",
+                joints=JOINTS,
+                stamps=stamps,
+                positions=worker.joints(stamps),
+                rate=options.rate,
+                subject=f"synthetic-{subject}",
+                task=task,
+                labels=worker.labels_at(stamps),
+                notes=("generated",),
+            )
+            performances.append((truth, sensor))
     return performances
 
 
-def fetching(fetches: Sequence[Fetch], duration: float, seed: int, rate: float = 100.0) -> Recording:
-    """The true motion of somebody at a table who reaches for places one after the other.
+class Worker(Actor):
+    """One person in one recording, who performs a task.
 
-    Args:
-        fetches: in order of their starts; one that begins before the last has ended waits for it.
-        duration: [s].
-        seed: of the build, the tempo and the way they move.
-        rate: frames per second [Hz].
-
-    Raises:
-        OptionError: a duration or rate that is not above 0.
+    Labels are those of the AnDy data: Re reaching (an empty hand moves), Pi picking, Ca carrying, Pl placing,
+    Id idle. The last quarter of the movement to an object or to its place belongs to Pi or Pl.
     """
-    if not (duration > 0 and rate > 0):
-        raise OptionError(f"duration {duration} s and rate {rate} Hz must be above 0")
-    build, motion = np.random.SeedSequence(seed).spawn(2)
-    actor = Actor(Body.sample(np.random.default_rng(build)), table_scene(), np.random.default_rng(motion))
-    for fetch in fetches:
-        left = fetch.place[1] > 0 if fetch.left is None else fetch.left
-        actor.fetch(fetch.start, fetch.place, LEFT if left else RIGHT, fetch.hold)
-    stamps = np.arange(max(2, round(duration * rate))) / rate
-    return _recorded(actor, stamps, rate, str(seed), seed, "fetching")
+
+    def __init__(self, body: Body, scene: Scene, rng: np.random.Generator) -> None:
+        super().__init__(body, rng)
+        self._goals, self._labels = scene.goals, [(0.0, "Id")]
+
+    def perform(self, task: str, duration: float) -> None:
+        """Does one of `TASKS` over and over until the time [s] is up."""
+        self._stay("Id", 0.2, 1.0)
+        while self.now < duration:
+            TASKS[task](self)
+
+    def labels_at(self, times: Float[np.ndarray, " N"]) -> tuple[str, ...]:
+        """The label of each time."""
+        starts = np.array([start for start, _ in self._labels])
+        return tuple(self._labels[i][1] for i in np.searchsorted(starts, times, side="right") - 1)
+
+    def _pick_and_place(self) -> None:
+        """A cube to the tray on its side, or to the middle."""
+        cube = str(self._rng.choice(["red_cube", "green_cube", "blue_cube"]))
+        hand = self._hand_for(cube)
+        away = "left_tray" if hand == LEFT else "right_tray"
+        place = str(self._rng.choice([away, away, "green_cube"])) if cube != "green_cube" else away
+        self._reach({hand: self._within(cube)}, ("Re", "Pi"), instead=self._other_cube(cube, hand))
+        self._stay("Pi", 0.2, 0.5)
+        self._reach({hand: self._within(place)}, ("Ca", "Pl"), lift=self._rng.uniform(0.05, 0.14))
+        self._stay("Pl", 0.15, 0.4)
+        if self._rng.random() < 0.5:
+            self._back(hand)
+
+    def _carry_crate(self) -> None:
+        """The crate from one side to the other, with both hands."""
+        sides = ["crate_left", "crate_right"]
+        if self._rng.random() < 0.5:
+            sides.reverse()
+        self._reach(self._handles(sides[0]), ("Re", "Pi"))
+        self._stay("Pi", 0.3, 0.7)
+        self._reach(self._handles(sides[1]), ("Ca", "Pl"), lift=self._rng.uniform(0.06, 0.2))
+        self._stay("Pl", 0.2, 0.5)
+        self._back(LEFT, RIGHT)
+
+    def _touch(self) -> None:
+        """One goal after the other, sometimes one with each hand."""
+        left, right = ["red_cube", "left_tray"], ["blue_cube", "right_tray"]
+        if self._rng.random() < 0.25:
+            goals = {LEFT: str(self._rng.choice(left)), RIGHT: str(self._rng.choice(right))}
+            self._reach({hand: self._within(goal) for hand, goal in goals.items()}, ("Re", "Re"))
+        else:
+            goal = str(self._rng.choice([*left, "green_cube", *right]))
+            hand = self._hand_for(goal)
+            self._reach({hand: self._within(goal)}, ("Re", "Re"), instead=self._other_cube(goal, hand))
+            goals = {hand: goal}
+        self._stay("Id", 0.1, 0.4)
+        if self._rng.random() < 0.6:
+            self._back(*goals)
+
+    def _stay(self, label: str, low: float, high: float) -> None:
+        """Stays for a random time [s]."""
+        self._labels.append((self.now, label))
+        self.dwell(low, high)
+
+    def _back(self, *hands: int) -> None:
+        """Hands back to where they rest, and mostly a pause."""
+        self._reach({hand: self.rest(hand) for hand in hands}, ("Re", "Re"))
+        if self._rng.random() < 0.7:
+            self._stay("Id", 0.2, 1.5)
+
+    def _reach(
+        self,
+        targets: Mapping[int, Point],
+        labels: tuple[str, str],
+        lift: float | None = None,
+        instead: Point | None = None,
+    ) -> None:
+        """Move one hand or both, trunk and elbows with them.
+
+        `labels` are of the first three quarters, and of the last; `lift` is the height of the via-point [m], a low
+        natural arch if None; now and then the hand sets out for `instead` first.
+        """
+        (first, goal), *_ = targets.items()
+        self._labels.append((self.now, labels[0]))
+        if instead is not None and self._rng.random() < HESITATION:
+            start, wrong = self.now, self.move({first: instead}, lift)
+            self.now += wrong * self._rng.uniform(0.35, 0.6)
+            duration = self.move({first: goal}, 0.0, at_least=wrong - (self.now - start) + 0.25)
+        else:
+            duration = self.move(targets, lift)
+        self._labels.append((self.now + 0.75 * duration, labels[1]))
+        self.now += duration
+
+    def _within(self, goal: str) -> Point:
+        """A random point of a goal's region."""
+        region: Sphere | Box = self._goals[goal]
+        half = np.full(3, region.radius / np.sqrt(3)) if isinstance(region, Sphere) else region.size / 2
+        return region.center + self._rng.uniform(-0.9, 0.9, 3) * half
+
+    def _handles(self, crate: str) -> dict[int, Point]:
+        """Where both hands hold the crate."""
+        middle = self._goals[crate].center + self._rng.uniform(-1.0, 1.0, 3) * [0.04, 0.03, 0.01]
+        aside = np.array([0.0, HANDLE, 0.0])
+        return {LEFT: middle + aside, RIGHT: middle - aside}
+
+    def _hand_for(self, goal: str) -> int:
+        """The hand on the goal's side; the better one in the middle."""
+        y = self._goals[goal].center[1]
+        if abs(y) > 0.1:
+            return LEFT if y > 0 else RIGHT
+        return RIGHT if self.body.right_handed else LEFT
+
+    def _other_cube(self, goal: str, hand: int) -> Point:
+        """Another cube the same hand could have been after."""
+        near = "red_cube" if hand == LEFT else "blue_cube"
+        return self._within("green_cube" if goal == near else near)
 
 
-def _recorded(
-    actor: Actor, stamps: Float[np.ndarray, " N"], rate: float, name: str, subject: int, task: str
-) -> Recording:
-    return Recording(
-        name=f"synthetic/{task}/{name}",
-        joints=JOINTS,
-        stamps=stamps,
-        positions=actor.joints(stamps),
-        rate=rate,
-        subject=f"synthetic-{subject}",
-        task=task,
-        labels=actor.labels(stamps),
-        notes=("generated",),
-    )
+TASKS: Mapping[str, Callable[[Worker], None]] = {
+    "pick_and_place": Worker._pick_and_place,
+    "carrying": Worker._carry_crate,
+    "reaching": Worker._touch,
+}
 
 
 def _sensed(truth: Recording, rng: np.random.Generator) -> Recording:
