@@ -52,7 +52,7 @@ def live(kinecast: Kinecast, model_root: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_moving_photograph_is_predicted_recorded_and_drawn(live: Kinecast, take: Path, tmp_path: Path) -> None:
-    source = f"camera:{take}?fov=60&height=1.4&body=1.75&speed=0.5"
+    source = f"camera:{take}?fov=60&height=1.4&body=1.75&speed=0.2"
     sinks = ("--sink", f"mcap:{tmp_path / 'live.mcap'}", "--sink", f"jsonl:{tmp_path / 'live.jsonl'}")
     outcome = live("--source", source, *sinks, "--record", tmp_path / "film.mp4")
     assert outcome.code == 0, outcome.err
