@@ -52,18 +52,23 @@ def live(kinecast: Kinecast, model_root: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_moving_photograph_is_predicted_recorded_and_drawn(live: Kinecast, take: Path, tmp_path: Path) -> None:
-    source = f"camera:{take}?fov=60&height=1.4&body=1.75&speed=0.2"
-    sinks = ("--sink", f"mcap:{tmp_path / 'live.mcap'}", "--sink", f"jsonl:{tmp_path / 'live.jsonl'}")
-    outcome = live("--source", source, *sinks, "--record", tmp_path / "film.mp4")
-    assert outcome.code == 0, outcome.err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "live.jsonl", "live.mcap"]
-    lines = [json.loads(line) for line in (tmp_path / "live.jsonl").read_text().splitlines()]
-    assert {line["person"] for line in lines} == {"0"}
-    assert len(lines) >= 15  # a busy machine skips pictures
+    for attempt, speed in enumerate((0.5, 0.1, 0.02)):  # a busy machine skips pictures: then it plays slower
+        out = tmp_path / str(attempt)
+        out.mkdir()
+        source = f"camera:{take}?fov=60&height=1.4&body=1.75&speed={speed}"
+        sinks = ("--sink", f"mcap:{out / 'live.mcap'}", "--sink", f"jsonl:{out / 'live.jsonl'}")
+        outcome = live("--source", source, *sinks, "--record", out / "film.mp4")
+        assert outcome.code == 0, outcome.err
+        assert sorted(path.name for path in out.iterdir()) == ["film.mp4", "live.jsonl", "live.mcap"]
+        lines = [json.loads(line) for line in (out / "live.jsonl").read_text().splitlines()]
+        assert {line["person"] for line in lines} <= {"0"}
+        if len(lines) >= 15:
+            break
+    assert len(lines) >= 15
     _check_wrists(lines)
-    recordings = mcap_file.load(tmp_path / "live.mcap")
+    recordings = mcap_file.load(out / "live.mcap")
     assert sum(len(each.stamps) for each in recordings) == len(lines)
-    _check_film(tmp_path / "film.mp4", take)
+    _check_film(out / "film.mp4", take)
 
 
 def _check_wrists(lines: list[dict[str, Any]]) -> None:
