@@ -180,11 +180,11 @@ def fingerprint(paths: Sequence[Path]) -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:16]
 
 
-def _undrawn(path: Path, *_: object) -> None:
+def _blank(path: Path, *_: object) -> None:
     path.touch()
 
 
-def _unwritten(_metrics: object, _histograms: object, folder: Path, _pictures: object) -> None:
+def _blank_page(_metrics: object, _histograms: object, folder: Path, _pictures: object) -> None:
     (folder / "report.html").touch()
 
 
@@ -195,7 +195,7 @@ def evaluated(*arguments: object) -> dict[str, Any]:
 
     with tempfile.TemporaryDirectory() as folder:
         with (
-            mock.patch.multiple(report, draw_prediction=_undrawn, animate_predictions=_undrawn, write_report=_unwritten),
+            mock.patch.multiple(report, draw_prediction=_blank, animate_predictions=_blank, write_report=_blank_page),
             contextlib.redirect_stdout(io.StringIO()),
             contextlib.redirect_stderr(io.StringIO()) as said,
         ):
