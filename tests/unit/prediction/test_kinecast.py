@@ -343,7 +343,9 @@ def heavy_tailed(seed: int, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def model() -> ErrorModel:
     """Fitted to heavy-tailed errors."""
-    return fit_error_model(*heavy_tailed(0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(objectives, "ERROR_STEPS", 400)
+        return fit_error_model(*heavy_tailed(0))
 
 
 class TestErrorModel:
