@@ -98,6 +98,16 @@ class JointLimits:
             wider[name] = AngleLimit(max(lower, -2.0 * math.pi), min(upper, 2.0 * math.pi), limit.speed)
         return replace(self, **wider)  # type: ignore[arg-type]
 
+    def union(self, other: JointLimits) -> JointLimits:
+        """The least limits that both keep."""
+        pairs = zip(self._named_angles(), other._named_angles(), strict=True)
+        wider = {
+            name: AngleLimit(min(a.lower, b.lower), max(a.upper, b.upper), max(a.speed, b.speed))
+            for (name, a), (_, b) in pairs
+        }
+        told = [limits.wrist_speed for limits in (self, other) if limits.wrist_speed is not None]
+        return replace(self, wrist_speed=max(told) if len(told) == 2 else None, **wider)
+
     def _named_angles(self) -> list[tuple[str, AngleLimit]]:
         return [(f.name, getattr(self, f.name)) for f in fields(self) if f.name != "wrist_speed"]
 

@@ -275,3 +275,13 @@ def test_wrist_speed_counts_as_a_speed_violation() -> None:
     assert not violations(path, person(), DT, JointLimits())[1].any()
     limited = replace(JointLimits(), wrist_speed=1.5)
     np.testing.assert_array_equal(violations(path, person(), DT, limited)[1], [False, True])
+
+
+def test_the_union_is_what_both_keep() -> None:
+    one, other = (
+        JointLimits(elbow=AngleLimit(0.1, 2.0, 5.0), wrist_speed=1.0),
+        JointLimits(elbow=AngleLimit(0.2, 2.5, 4.0)),
+    )
+    assert one.union(other).elbow == AngleLimit(0.1, 2.5, 5.0)
+    assert one.union(other).wrist_speed is None  # the other has none
+    assert one.union(one) == one
