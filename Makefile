@@ -10,19 +10,21 @@ export OMP_WAIT_POLICY ?= PASSIVE
 # pip compiles nothing here: every process would, if none were to keep what it compiled.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test check bench dist wheel clean
+.PHONY: demo test check pytest bench dist wheel clean
 
 demo: $(VENV)/.demo
 	$(BIN)/kinecast demo --out $(OUT)
 	$(BIN)/kinecast simulate --out $(OUT)/robot
 
-test: $(VENV)/.test check
+test: check pytest
+
+pytest: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy --num-workers 2
+	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 dist: build/venv
