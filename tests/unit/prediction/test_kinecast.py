@@ -76,7 +76,7 @@ def card(method: Kinecast) -> ModelCard:
 
 
 @pytest.fixture(scope="module")
-def method(windows: TrainingWindows) -> Kinecast:
+def method(compiled_once: None, windows: TrainingWindows) -> Kinecast:
     return fit_kinecast(windows)
 
 

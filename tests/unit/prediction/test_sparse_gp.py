@@ -42,10 +42,11 @@ def kernel(signal: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def model() -> SparseGPs:
+def model(compiled_once: None) -> SparseGPs:
     return fit_sparse_gp(*waves(0), **SMALL)
 
 
+@pytest.mark.usefixtures("compiled_once")
 def test_likelihood_and_gradient_equal_dense_matrices() -> None:
     """Gradient by central differences."""
     rng = np.random.default_rng(0)
