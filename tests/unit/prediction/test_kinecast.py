@@ -49,6 +49,8 @@ from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.observation import Observation, TrainingWindows
 from kinecast.tasks import Progress, Serial
 
+pytestmark = pytest.mark.usefixtures("compiled_once")
+
 SWAP = [3, 4, 5, 0, 1, 2]
 MIRROR = np.array([1.0, -1.0, 1.0])
 NOISE = 0.002
@@ -76,7 +78,7 @@ def card(method: Kinecast) -> ModelCard:
 
 
 @pytest.fixture(scope="module")
-def method(compiled_once: None, windows: TrainingWindows) -> Kinecast:
+def method(windows: TrainingWindows) -> Kinecast:
     return fit_kinecast(windows)
 
 

@@ -14,6 +14,7 @@ from kinecast.errors import MissingExtraError, ModelError, OptionError
 from kinecast.prediction.sparse_gp import JITTER, SparseGPs, fit_sparse_gp, negative_log_likelihood
 
 jax = pytest.importorskip("jax")
+pytestmark = pytest.mark.usefixtures("compiled_once")
 
 NOISE_SD = 0.15
 SMALL = {"seed": 0, "pseudo_inputs": 12, "iterations": 40}
@@ -42,11 +43,10 @@ def kernel(signal: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def model(compiled_once: None) -> SparseGPs:
+def model() -> SparseGPs:
     return fit_sparse_gp(*waves(0), **SMALL)
 
 
-@pytest.mark.usefixtures("compiled_once")
 def test_likelihood_and_gradient_equal_dense_matrices() -> None:
     """Gradient by central differences."""
     rng = np.random.default_rng(0)
