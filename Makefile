@@ -7,15 +7,19 @@ OUT ?= out/demo
 # Small matrices gain nothing from threads, and threads that wait by spinning starve those that work.
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= PASSIVE
+# pip compiles nothing here: every process would, if none were to keep what it compiled.
+export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test check bench dist clean
+.PHONY: demo test check pytest bench dist wheel clean
 
 demo: $(VENV)/.demo
 	$(BIN)/kinecast demo --out $(OUT)
 	$(BIN)/kinecast simulate --out $(OUT)/robot
 
-test: $(VENV)/.test check
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+test: check pytest
+
+pytest: $(VENV)/.test
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -23,9 +27,12 @@ check: $(VENV)/.test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-dist: $(VENV)/.test
+dist: build/venv
 	rm -rf dist
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m build
+	PIP_CONSTRAINT=constraints.txt $</bin/python -m build
+
+wheel: dist
+	$(PYTHON) .ci/check_wheel.py dist/*.whl
 
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.online_step
@@ -41,6 +48,11 @@ $(VENV)/.demo: $(VENV)/bin/python pyproject.toml constraints.txt
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+build/venv: constraints.txt
+	$(PYTHON) -m venv $@
+	$@/bin/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt build
 	touch $@
 
 $(VENV)/.bench: $(VENV)/bin/python pyproject.toml constraints.txt

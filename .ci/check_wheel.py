@@ -78,7 +78,7 @@ def check(python: str, wheel: Path, folder: Path) -> None:
     began = time.monotonic()
     run(python, "-m", "venv", folder / "venv", folder=folder)
     inside = folder / "venv" / "bin" / "python"
-    pip = (inside, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+    pip = (inside, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
     run(*pip, "-c", ROOT / "constraints.txt", wheel, folder=folder)
     installed = time.monotonic()
     block = re.search(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S)

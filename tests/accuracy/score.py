@@ -180,15 +180,22 @@ def fingerprint(paths: Sequence[Path]) -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:16]
 
 
-def evaluated(*arguments: object) -> dict[str, Any]:
-    """Runs `kinecast evaluate` in this process, with pictures left blank; what metrics.json holds."""
-    from matplotlib.figure import Figure
+def _blank(path: Path, *_: object) -> None:
+    path.touch()
 
+
+def _blank_page(_metrics: object, _histograms: object, folder: Path, _pictures: object) -> None:
+    (folder / "report.html").touch()
+
+
+def evaluated(*arguments: object) -> dict[str, Any]:
+    """Runs `kinecast evaluate` in this process, with nothing drawn; what metrics.json holds."""
     from kinecast.cli.commands import run
+    from kinecast.evaluation import report
 
     with tempfile.TemporaryDirectory() as folder:
         with (
-            mock.patch.object(Figure, "draw", return_value=None),
+            mock.patch.multiple(report, draw_prediction=_blank, animate_predictions=_blank, write_report=_blank_page),
             contextlib.redirect_stdout(io.StringIO()),
             contextlib.redirect_stderr(io.StringIO()) as said,
         ):

@@ -63,16 +63,17 @@ def evaluation(evaluated: tuple[Path, str]) -> Path:
 
 DEMO = """
 from functools import partial
-import kinecast.cli.commands, kinecast.cli.evaluate as command
+import kinecast.cli.commands, kinecast.cli.evaluate as command, kinecast.evaluation.report as report
 from kinecast.cli import main
 command.evaluate = partial(command.evaluate, stride=25)
+report.FILM = 0.1
 main()
 """
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder of a demo with a fifth of its windows, pictures and all, and what it printed.
+    """The folder of a demo with a fifth of its windows and a short film, and what it printed.
 
     In a process of its own: checking types takes several times as long.
     """

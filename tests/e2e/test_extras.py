@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError, distribution, packages_distributions
+from functools import cache
+from importlib.metadata import PackageNotFoundError, packages_distributions, requires
 
 import pytest
 from packaging.requirements import Requirement
@@ -36,6 +37,18 @@ for module in pkgutil.walk_packages(kinecast.__path__, "kinecast.", onerror=lamb
 """
 
 
+owners_of_modules = cache(packages_distributions)
+
+
+@cache
+def needs(name: str) -> list[Requirement]:
+    """What a package requires; nothing of one for another system, or Python."""
+    try:
+        return [Requirement(line) for line in requires(name) or []]
+    except PackageNotFoundError:
+        return []
+
+
 def brought(extra: str) -> tuple[set[str], set[str]]:
     """Names of everything that pip installs for the core and an extra, and of the extras that it brings."""
     waiting, seen = [("kinecast", frozenset({extra}))], set()
@@ -44,11 +57,7 @@ def brought(extra: str) -> tuple[set[str], set[str]]:
         if each in seen:
             continue
         seen.add(each)
-        try:
-            needs = distribution(name).requires or []
-        except PackageNotFoundError:  # for another system, or Python
-            continue
-        for need in map(Requirement, needs):
+        for need in needs(name):
             if need.marker is None or any(need.marker.evaluate({"extra": one}) for one in ("", *extras)):
                 waiting.append((canonicalize_name(need.name), frozenset(need.extras)))
     return {name for name, _ in seen}, set().union(*(extras for name, extras in seen if name == "kinecast"))
@@ -59,7 +68,7 @@ def test_an_extra_alone_brings_all_that_it_is_for(extra: str) -> None:
     there, extras = brought(extra)
     hidden = [
         name
-        for name, owners in packages_distributions().items()
+        for name, owners in owners_of_modules().items()
         if not there & {canonicalize_name(owner) for owner in owners} and name not in sys.stdlib_module_names
     ]
     done = subprocess.run(

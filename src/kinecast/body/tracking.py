@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum, IntFlag
+from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -66,13 +67,11 @@ class Trouble(IntFlag):
 
     REPEATED = 1
     """The newest frame is a copy of the one before it."""
-    GAP = 2
-    """A value before the newest was missing and has been filled."""
-    OCCLUDED = 4
+    OCCLUDED = 2
     """The newest frame does not show the joint: it has been carried on."""
-    JUMP = 8
+    JUMP = 4
     """A value was thrown aside and has been replaced."""
-    LOST = 16
+    LOST = 8
     """Missing in the two newest frames or flawed in more than half of them: better not predicted from."""
 
 
@@ -173,11 +172,8 @@ def fill(
     for j in np.flatnonzero(flaws.any(axis=0)):
         sound = flaws[:, j] == NONE
         filled[~sound & (flaws[:, j] != REPEATED), j] = np.nan
-        known = np.flatnonzero(sound)
-        for before, after in zip(known[:-1].tolist(), known[1:].tolist(), strict=True):
-            if after - before > 1 and stamps[after] - stamps[before + 1] <= max_gap + ROUNDING:
-                filled[before + 1 : after, j] = _bridge(filled[:, j], stamps, sound, before, after)
-                touched[before + 1 : after, j] = True
+        for gap in _bridge_gaps(filled[:, j], stamps, sound, max_gap):
+            touched[gap, j] = True
     return filled, touched
 
 
@@ -243,9 +239,7 @@ def _whole(track: Float[np.ndarray, "N K 3"], stamps: Stamps, sound: Sound) -> F
     if len(known) in (0, len(sound)):
         return track
     flat = track.reshape(len(track), -1).copy()
-    for before, after in zip(known[:-1].tolist(), known[1:].tolist(), strict=True):
-        if after - before > 1:
-            flat[before + 1 : after] = _bridge(flat, stamps, sound, before, after)
+    _bridge_gaps(flat, stamps, sound)
     first, last = int(known[0]), int(known[-1])
     flat[:first] = flat[first]
     flat[last + 1 :] = _carried_on(flat, stamps, sound, last, stamps[last + 1 :])
@@ -256,7 +250,6 @@ def _trouble(flaws: Int8[np.ndarray, "W N J"]) -> UInt8[np.ndarray, "W J"]:
     missing, jumped = flaws == MISSING, flaws == JUMP
     found = {
         Trouble.REPEATED: flaws[:, -1] == REPEATED,
-        Trouble.GAP: missing[:, :-1].any(axis=1),
         Trouble.OCCLUDED: missing[:, -1],
         Trouble.JUMP: jumped.any(axis=1),
         Trouble.LOST: missing[:, -2:].all(axis=1) | (2 * (missing | jumped).sum(axis=1) > flaws.shape[1]),
@@ -292,14 +285,20 @@ def _carried_on(
     return x[a] + np.outer(way, np.zeros(x.shape[1]) if slope is None else slope)
 
 
-def _bridge(x: Coordinates, stamps: Stamps, sound: Sound, a: int, b: int) -> Float[np.ndarray, "L K"]:
-    """Coordinates between the sound frames a and b: a cubic, end velocities half chord, half slope."""
-    whole, chord = stamps[b] - stamps[a], x[b] - x[a]
-    before, after = _slope(x, stamps, sound, a, -1), _slope(x, stamps, sound, b, 1)
-    bend_before = 0.0 if before is None else SLOPE_SHARE * (before * whole - chord)
-    bend_after = 0.0 if after is None else SLOPE_SHARE * (after * whole - chord)
-    s = ((stamps[a + 1 : b] - stamps[a]) / whole)[:, None]
-    return x[a] + chord * s + s * (1.0 - s) * (bend_before * (1.0 - s) - bend_after * s)
+def _bridge_gaps(x: Coordinates, stamps: Stamps, sound: Sound, longest: float = np.inf) -> list[slice]:
+    """Writes a cubic between sound frames, end velocities half chord, half slope; the frames of each gap so bridged."""
+    bridged = []
+    for a, b in pairwise(np.flatnonzero(sound).tolist()):
+        if b - a == 1 or stamps[b] - stamps[a + 1] > longest + ROUNDING:
+            continue
+        whole, chord = stamps[b] - stamps[a], x[b] - x[a]
+        before, after = _slope(x, stamps, sound, a, -1), _slope(x, stamps, sound, b, 1)
+        bend_before = 0.0 if before is None else SLOPE_SHARE * (before * whole - chord)
+        bend_after = 0.0 if after is None else SLOPE_SHARE * (after * whole - chord)
+        bridged.append(slice(a + 1, b))
+        s = ((stamps[bridged[-1]] - stamps[a]) / whole)[:, None]
+        x[bridged[-1]] = x[a] + chord * s + s * (1.0 - s) * (bend_before * (1.0 - s) - bend_after * s)
+    return bridged
 
 
 def _find_newest_jump(x: Float[np.ndarray, "N 3"], stamps: Stamps, flaws: Int8[np.ndarray, " N"]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import yaml
 
 from kinecast.cameras.pinhole import Intrinsics, PinholeCamera
 from kinecast.errors import OptionError
-from kinecast.geometry.entries import Entry, built, read_text
+from kinecast.geometry.entries import Entry, read_text
 from kinecast.geometry.transforms import from_quaternion, to_quaternion, transform
 
 MOST_CAMERAS, LONGEST_NAME = 16, 64
@@ -42,9 +41,8 @@ class Rig:
         frame_id = root.values.get("frame_id", "world")
         if not isinstance(frame_id, str) or not _is_name(frame_id):
             raise root.error(f"expected a name of 1 to {LONGEST_NAME} characters, found {frame_id!r}", "frame_id")
-        entries = root.named_children("cameras")
-        cameras = {name: built(entry, partial(_camera, name)) for name, entry in entries.items()}
-        return built(root, lambda _: cls(cameras, frame_id))
+        cameras = root.named_children("cameras", _camera)
+        return root.build(lambda _: cls(cameras, frame_id))
 
     def to_yaml(self) -> str:
         """The text of a rig file; reading it gives the same rig."""
@@ -63,7 +61,8 @@ def _is_name(text: str) -> bool:
     return 0 < len(text) <= LONGEST_NAME and text.isprintable()
 
 
-def _camera(name: str, entry: Entry) -> PinholeCamera:
+def _camera(entry: Entry) -> PinholeCamera:
+    name = entry.name.removeprefix("cameras.")
     if not _is_name(name):
         raise entry.error(f"a camera's name has 1 to {LONGEST_NAME} printable characters")
     entry.only("size", "focal", "center", "distortion", "position", "quaternion")

@@ -112,21 +112,28 @@ class Entry:
             raise self.error(f"expected entries `key: value`, found {value!r:.40}", key)
         return Entry(self.where, ".".join(part for part in (self.name, key) if part), value)
 
-    def children(self, key: str) -> list[Entry]:
-        """The entries of a list; none if the key is absent."""
+    def build(self, make: Callable[[Entry], T]) -> T:
+        """What `make` makes of this entry; its own complaints get the place in the file."""
+        try:
+            return make(self)
+        except OptionError as error:
+            raise self.error(str(error)) from None
+
+    def children(self, key: str, make: Callable[[Entry], T]) -> list[T]:
+        """What `make` makes of each entry of a list; nothing if the key is absent."""
         items = self.values.get(key, [])
         if not isinstance(items, list):
             raise self.error(f"expected a list of entries, each starting with `- `, found {items!r:.40}", key)
-        return [self.child(f"{key}[{i}]", item) for i, item in enumerate(items)]
+        return [self.child(f"{key}[{i}]", item).build(make) for i, item in enumerate(items)]
 
-    def named_children(self, key: str) -> dict[str, Entry]:
-        """The entries of a mapping from names; none if the key is absent."""
+    def named_children(self, key: str, make: Callable[[Entry], T]) -> dict[str, T]:
+        """What `make` makes of each entry of a mapping from names; nothing if the key is absent."""
         items = self.values.get(key, {})
         if not isinstance(items, dict):
             raise self.error(f"expected entries `name: ...`, found {items!r:.40}", key)
         if wrong := [name for name in items if not isinstance(name, str)]:
             raise self.error(f"a name must be text, found {wrong[0]!r:.40}", key)
-        return {name: self.child(f"{key}.{name}", item) for name, item in items.items()}
+        return {name: self.child(f"{key}.{name}", item).build(make) for name, item in items.items()}
 
     def number(self, key: str, unit: str, limit: float = LARGEST) -> float:
         """A finite number."""
@@ -151,11 +158,3 @@ class Entry:
             hint = "; lengths are in metres" if limit == LARGEST else ""
             raise self.error(f"{value} {unit} is outside -{limit:g}..{limit:g}{hint}", key)
         return float(value)
-
-
-def built(entry: Entry, build: Callable[[Entry], T]) -> T:
-    """What `build` makes of an entry; its own complaints get the place in the file."""
-    try:
-        return build(entry)
-    except OptionError as error:
-        raise entry.error(str(error)) from None

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from kinecast.errors import DatasetError, OptionError
 from kinecast.geometry.distances import ROW, limb_distances
-from kinecast.geometry.entries import Entry, built, read_text
+from kinecast.geometry.entries import Entry, read_text
 from kinecast.geometry.regions import Regions
 from kinecast.geometry.shapes import Box, Capsule, ConstantVelocity, HalfSpace, MovingObstacle, Shape, Sphere, Waypoints
 from kinecast.geometry.transforms import from_quaternion, rotation_z
@@ -68,13 +68,10 @@ class Scene:
         root = Entry.read(text, where, "table", *_OBSTACLES, "goals")
         obstacles: list[Obstacle] = []
         if "table" in root.values:
-            obstacles.append(built(root.child("table", root.values["table"]), _table))
-        for key, build in _OBSTACLES.items():
-            obstacles += [built(entry, build) for entry in root.children(key)]
-        named = root.named_children("goals")
-        if NO_GOAL in named:
-            raise named[NO_GOAL].error(RESERVED)
-        goals = {name: built(entry, _goal) for name, entry in named.items()}
+            obstacles.append(root.child("table", root.values["table"]).build(_table))
+        for key, make in _OBSTACLES.items():
+            obstacles += root.children(key, make)
+        goals = root.named_children("goals", _goal)
         if len(obstacles) + len(goals) > MAXIMUM_ENTRIES:
             raise DatasetError(where, f"{len(obstacles) + len(goals)} entries, at most {MAXIMUM_ENTRIES}")
         return cls(tuple(obstacles), goals)
@@ -150,6 +147,8 @@ _OBSTACLES = {"planes": _plane, "boxes": _box, "spheres": _sphere, "capsules": _
 
 def _goal(entry: Entry) -> Sphere | Box:
     """A region: a sphere if it has a radius, else a box."""
+    if entry.name == f"goals.{NO_GOAL}":
+        raise OptionError(RESERVED)
     if "radius" in entry.values:
         entry.only("center", "radius")
         return Sphere(entry.vector("center", 3, "m"), entry.number("radius", "m"))
@@ -164,13 +163,14 @@ def _moving(entry: Entry, at: Callable[[Float[np.ndarray, " 3"]], Shape]) -> Obs
     for key in ("center", "velocity"):
         if key in entry.values:
             raise entry.error(f"`{key}` and `waypoints` exclude each other: the waypoints say where it is", key)
-    points = entry.children("waypoints")
-    for point in points:
-        point.only("time", "position")
-    times = [point.number("time", "s", limit=1e12) for point in points]  # epoch stamps fit
-    positions = [point.vector("position", 3, "m") for point in points]
-    path = Waypoints(np.array(times), np.array(positions).reshape(-1, 3))
+    points = np.array(entry.children("waypoints", _waypoint)).reshape(-1, 4)
+    path = Waypoints(points[:, 0], points[:, 1:])
     return MovingObstacle(at(path.positions[0]), path)
+
+
+def _waypoint(entry: Entry) -> Float[np.ndarray, " 4"]:
+    entry.only("time", "position")
+    return np.array([entry.number("time", "s", limit=1e12), *entry.vector("position", 3, "m")])  # epoch stamps fit
 
 
 def _gliding(entry: Entry, shape: Shape) -> Obstacle:

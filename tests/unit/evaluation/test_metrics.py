@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from typing import Any
+
 import numpy as np
 import pytest
-import scoringrules
 from scipy.special import ndtr
 from scipy.stats import chi2, gaussian_kde
 
@@ -12,6 +14,14 @@ from kinecast.evaluation import metrics
 from kinecast.evaluation.metrics import crps, energy_score, is_moving, joint_errors, kde_nll, regions, scored
 
 SAMPLE_SCORES = (crps, energy_score, kde_nll)
+
+
+@pytest.fixture(scope="module")
+def scoringrules() -> Any:
+    """The peer; where it finds numba, importing it compiles for 4 s what is not used here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "numba", None)
+        return pytest.importorskip("scoringrules")
 
 
 def correlated(rng: np.random.Generator, count: int, steps: int = 4) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +49,7 @@ def test_joint_errors_are_distances_and_nan_where_the_truth_is() -> None:
     assert joint_errors(np.zeros((5, 2, 6, 3)), np.ones((5, 2, 6, 3))).shape == (5, 2, 6)
 
 
-def test_crps_equals_a_peers_fair_estimator() -> None:
+def test_crps_equals_a_peers_fair_estimator(scoringrules: Any) -> None:
     samples, truth = correlated(np.random.default_rng(1), 200)
     expected = scoringrules.crps_ensemble(truth, samples, m_axis=0, estimator="fair", backend="numpy")
     np.testing.assert_allclose(crps(samples, truth), expected, rtol=1e-10, atol=1e-14)
@@ -65,7 +75,7 @@ def test_energy_score_on_a_line_is_the_crps() -> None:
     np.testing.assert_allclose(energy_score(samples, truth), crps(samples, truth)[..., 0], rtol=1e-10)
 
 
-def test_energy_score_agrees_with_all_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_energy_score_agrees_with_all_pairs(scoringrules: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many sets of samples, scored with 16 S pairs and with all: equal within the mean's standard error."""
     rng = np.random.default_rng(4)
     samples, truth = isotropic(rng, 100, windows=60, sigma=0.05)

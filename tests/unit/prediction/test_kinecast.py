@@ -50,6 +50,8 @@ from kinecast.prediction.observation import Observation
 from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Progress, Serial
 
+pytestmark = pytest.mark.usefixtures("compiled_once")
+
 SWAP = [3, 4, 5, 0, 1, 2]
 MIRROR = np.array([1.0, -1.0, 1.0])
 NOISE = 0.002
@@ -344,7 +346,9 @@ def heavy_tailed(seed: int, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def model() -> ErrorModel:
     """Fitted to heavy-tailed errors."""
-    return fit_error_model(*heavy_tailed(0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(objectives, "ERROR_STEPS", 400)
+        return fit_error_model(*heavy_tailed(0))
 
 
 class TestErrorModel:

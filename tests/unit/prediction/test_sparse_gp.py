@@ -14,6 +14,7 @@ from kinecast.errors import MissingExtraError, ModelError, OptionError
 from kinecast.prediction.sparse_gp import JITTER, SparseGPs, fit_sparse_gp, negative_log_likelihood
 
 jax = pytest.importorskip("jax")
+pytestmark = pytest.mark.usefixtures("compiled_once")
 
 NOISE_SD = 0.15
 SMALL = {"seed": 0, "pseudo_inputs": 12, "iterations": 40}
@@ -49,7 +50,7 @@ def model() -> SparseGPs:
 def test_likelihood_and_gradient_equal_dense_matrices() -> None:
     """Gradient by central differences."""
     rng = np.random.default_rng(0)
-    x, y = rng.standard_normal((150, 2)), rng.standard_normal(150)
+    x, y = rng.standard_normal((200, 2)), rng.standard_normal(200)
     vector = np.concatenate([np.log([0.8, 1.3, 1.7, 0.2]), rng.standard_normal(24)])
 
     def dense(v: np.ndarray) -> float:
@@ -58,10 +59,10 @@ def test_likelihood_and_gradient_equal_dense_matrices() -> None:
         kzz = kernel(signal, z, z) + JITTER * signal * np.eye(12)
         low_rank = kernel(signal, a, z) @ np.linalg.solve(kzz, kernel(signal, z, a))
         covariance = low_rank + np.diag(signal - np.diag(low_rank) + noise)
-        return -float(stats.multivariate_normal(np.zeros(150), covariance).logpdf(y))
+        return -float(stats.multivariate_normal(np.zeros(200), covariance).logpdf(y))
 
     with jax.enable_x64(True):
-        value, gradient = jax.value_and_grad(negative_log_likelihood)(vector, x, y)
+        value, gradient = jax.jit(jax.value_and_grad(negative_log_likelihood))(vector, x, y)
         value, gradient = float(value), np.asarray(gradient)
     assert value == pytest.approx(dense(vector), rel=1e-10)
     differences = [(dense(vector + step) - dense(vector - step)) / 2e-5 for step in 1e-5 * np.eye(len(vector))]
@@ -191,7 +192,7 @@ def test_it_agrees_with_gpy() -> None:
 
     vector = np.concatenate([np.log([1.0, ours.signal[0] / sd**2, ours.noise[0] / sd**2]), ours.pseudo[0, 0]])
     with jax.enable_x64(True):
-        assert -float(negative_log_likelihood(vector, a, b[:, 0])) == pytest.approx(
+        assert -float(jax.jit(negative_log_likelihood)(vector, a, b[:, 0])) == pytest.approx(
             float(peer.log_likelihood()), abs=1e-3
         )
     our_mean, our_sd = predicted(ours, test_x)
