@@ -6,8 +6,9 @@ import queue
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Generic, Protocol, TypeVar, runtime_checkable
+from typing import IO, Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 from websockets.asyncio.server import broadcast
 
@@ -112,13 +113,20 @@ class JsonlSink(FileSink):
         self.file.write(publication.json + b"\n")
 
 
+@dataclass(frozen=True)
+class WebSocketOptions:
+    """What clients get."""
+
+    format: Literal["json", "msgpack"] = "json"
+
+
 class WebSocketSink(WebSocketServer):
     """Sends every client each prediction (docs/live.md), as JSON text or binary msgpack, and waits for none of them."""
 
-    def __init__(self, address: Address, network: Network, msgpack: bool = False) -> None:
+    def __init__(self, address: Address, network: Network, options: WebSocketOptions) -> None:
         super().__init__(address, network, LARGEST_REQUEST)
         self.counters = SinkCounters(self.address, "sent")
-        self._msgpack = msgpack
+        self._msgpack = options.format == "msgpack"
         self._newest: dict[tuple[str, str], Publication] = {}
         self._lock = threading.Lock()
 

@@ -18,7 +18,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 from rosbags.typesys.store import Typestore
 
-from kinecast.errors import OptionError
 from kinecast.live.message import MessageError
 
 LARGEST = 1 << 20  # bytes of a message that is read; a ZED camera's has 2 kB a person
@@ -40,14 +39,6 @@ class Distribution(Enum):
     def generation(self) -> int:
         """1 or 2."""
         return 1 if self is Distribution.NOETIC else 2
-
-
-def ros2_release(name: str, what: str) -> Distribution:
-    """A release of ROS 2 by its name; an OptionError, which says what the name is, for another."""
-    known = {each.value: each for each in Distribution if each.generation == 2}
-    if name not in known:
-        raise OptionError(f"{what} {name!r}, expected {' or '.join(known)}")
-    return known[name]
 
 
 class Messages:

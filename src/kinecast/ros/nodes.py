@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.errors import OptionError
-from kinecast.ros.messages import Distribution, messages_of, ros2_release
+from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.transport import CLOSING, Callback, Transport
 
 DEBIAN = Path("/usr/lib/python3/dist-packages")  # of Debian's and Ubuntu's system's packages, rospy among them
@@ -110,7 +110,9 @@ class Ros2Transport(Transport):
             raise OptionError(
                 f"ros2: no rclpy here ({error}): source ROS 2's setup.bash, or use dds:, which needs no ROS"
             ) from None
-        super().__init__(messages_of(ros2_release(os.environ.get("ROS_DISTRO", ""), "ros2: ROS_DISTRO is")))
+        if (distro := os.environ.get("ROS_DISTRO", "")) not in ("humble", "jazzy"):
+            raise OptionError(f"ros2: ROS_DISTRO is {distro!r}, expected humble or jazzy")
+        super().__init__(messages_of(Distribution(distro)))
         self._context = self._rclpy.Context()
         self._rclpy.init(context=self._context)
         self._node = self._rclpy.create_node(NODE, context=self._context)

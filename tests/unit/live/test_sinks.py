@@ -27,7 +27,7 @@ from kinecast.live.mcap_file import schema
 from kinecast.live.network import Address, Network
 from kinecast.live.publication import Publication
 from kinecast.live.sender_guard import SenderGuard
-from kinecast.live.sinks import MOST_UNSENT, MOST_WAITING, FileSink, JsonlSink, WebSocketSink
+from kinecast.live.sinks import MOST_UNSENT, MOST_WAITING, FileSink, JsonlSink, WebSocketOptions, WebSocketSink
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import SkeletonFrame, Status
 
@@ -183,7 +183,7 @@ def network() -> Iterator[Network]:
 
 
 def test_a_client_that_does_not_read_misses_and_the_others_do_not(predictor: Predictor, network: Network) -> None:
-    sink = WebSocketSink(Address("ws", "127.0.0.1", 0), network)
+    sink = WebSocketSink(Address("ws", "127.0.0.1", 0), network, WebSocketOptions())
     port = int(sink.address.rpartition(":")[2])
     with socket.socket() as idle, connect(sink.address, proxy=None, open_timeout=LONG) as reader:
         idle.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -206,7 +206,7 @@ def test_a_client_that_does_not_read_misses_and_the_others_do_not(predictor: Pre
 
 
 def test_a_page_of_another_site_is_turned_away(network: Network) -> None:
-    sink = WebSocketSink(Address("ws", "127.0.0.1", 0), network)
+    sink = WebSocketSink(Address("ws", "127.0.0.1", 0), network, WebSocketOptions())
     with pytest.raises(Exception, match="HTTP 403"):
         connect(sink.address, proxy=None, open_timeout=LONG, origin="https://evil.example")  # type: ignore[arg-type]
     for origin in ("http://localhost:8080", "http://127.0.0.1"):
@@ -215,9 +215,9 @@ def test_a_page_of_another_site_is_turned_away(network: Network) -> None:
 
 
 def test_an_address_that_is_taken_is_an_option_error(network: Network) -> None:
-    sink = WebSocketSink(Address("ws", "127.0.0.1", 0), network)
+    sink = WebSocketSink(Address("ws", "127.0.0.1", 0), network, WebSocketOptions())
     with pytest.raises(OptionError, match="nothing can listen there"):
-        WebSocketSink(Address.parse(sink.address), network)
+        WebSocketSink(Address.parse(sink.address), network, WebSocketOptions())
     sink.close()
 
 

@@ -154,7 +154,7 @@ def test_a_time_code_that_stands_still_says_what_to_do(caplog: pytest.LogCapture
     still = [datagram(k, body(), milliseconds=5) for k in range(3)]
     assert len(Listener().hear(*still)) == 1
     assert "the time code stands still; ?stamps=arrival" in caplog.text
-    assert [frame.stamp for frame in Listener(XsensOptions(by_arrival=True)).hear(*still)] == [0.001, 0.002, 0.003]
+    assert [frame.stamp for frame in Listener(XsensOptions(stamps="arrival")).hear(*still)] == [0.001, 0.002, 0.003]
 
 
 @pytest.mark.parametrize("kind", [b"10", b"11", b"12", b"13", b"20", b"21", b"22", b"23", b"24", b"25"])
