@@ -268,15 +268,15 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
     alone = Predictor.load(MODEL, options=PredictorOptions(samples=20))
     guard = SenderGuard(liar)
     now = time.monotonic() + 1e6  # acquired in the future: no delay, however busy the machine is
-    for k in range(150):
+    for k in range(80):
         frame = SkeletonFrame(k / 30, ARM_JOINTS, REST + 0.02 * np.sin(k / 5), "0")
         camera.put(frame, now)
         for _ in range(2):
             now += rng.choice((0.0, 0.01, 1.0))
-            scale = 1.0 if k % 40 < 25 else rng.choice((0.0, 1e-6, 1.0, 30.0))
-            stamp = (0.0, 1e9, -50.0, 9e10)[k // 40] + rng.choice((k / 30, k / 30, k / 30, 0.0))
+            scale = 1.0 if k % 20 < 12 else rng.choice((0.0, 1e-6, 1.0, 30.0))
+            stamp = (0.0, 1e9, -50.0, 9e10)[k // 20] + rng.choice((k / 30, k / 30, k / 30, 0.0))
             arms = (scale * (REST + rng.normal(0, 0.002, REST.shape))).tolist()
-            if k % 40 > 15:
+            if k % 20 > 7:
                 arms[rng.integers(6)][rng.integers(3)] = rng.choice((None, 0.0, 9999.0))
             lie = {"stamp": stamp, "joints": ARM_JOINTS, "positions": arms, "person": str(rng.integers(3))}
             guard.take(json.dumps(lie, default=float), "liar", now)
@@ -286,9 +286,9 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
         np.testing.assert_array_equal(mine.prediction.mean, alone.observe(frame).mean)
     assert live.failures == 0
     assert liar.refused == 0
-    assert liar.received == 300
+    assert liar.received == 160
     assert len({each.prediction.status for each in taken if each.source == "liar"}) > 3
-    for each in taken[::2]:
+    for each in taken[::11]:
         fits(json.loads(json.dumps(scene_update(each, 0.0), allow_nan=False)), SCENE_UPDATE)
         json.loads(each.json)
 
