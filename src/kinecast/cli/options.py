@@ -73,7 +73,7 @@ def worker_pool(where: str | None) -> Iterator[Workers]:
         yield Serial()
         return
     with cluster_at(where) as cluster:
-        count = len(cluster.client.scheduler_info(n_workers=-1)["workers"])
+        count = len(cluster.workers)
         note(f"cluster {where}: {count} worker{'s' * (count != 1)}")
         yield cluster
 
