@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from kinecast.body.skeleton import arms_of
 from kinecast.errors import OptionError
-from kinecast.live.drawing import SEEN, THICK, THIN, Colour, Fields, fading, limb_ends, points, pose, rgba, words_of
+from kinecast.live.drawing import SEEN, THICK, THIN, Fields, fading, limb_lines, points, pose, rgba, words_of
 from kinecast.live.publication import UPPER_TRIANGLE, Publication, colour_of
 from kinecast.ros.planning_scene import CollisionObjects
 from kinecast.types import Status
@@ -184,9 +184,10 @@ def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
     prediction = publication.prediction
     colour = colour_of(prediction.status)
     text, place = words_of(publication)
+    lines = {"type": LINE_LIST, "pose": pose({})}
     drawn = (
-        _lines([arms_of(publication.frame)], SEEN, [1.0], THICK),
-        _lines(prediction.mean, colour, fading(len(prediction.mean)), THIN),
+        lines | {"scale": {"x": THICK}} | limb_lines(arms_of(publication.frame)[None], SEEN, [1.0]),
+        lines | {"scale": {"x": THIN}} | limb_lines(prediction.mean, colour, fading(len(prediction.mean))),
         {"type": TEXT, "text": text, "scale": {"z": HIGH}, "color": rgba(colour, 1.0), "pose": pose(place)},
     )
     common = {"header": _header(publication, stamp), "ns": "/".join(publication.key), "lifetime": lifetime}
@@ -195,12 +196,3 @@ def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
 
 def _header(publication: Publication, stamp: float) -> Fields:
     return {"stamp": stamp, "frame_id": publication.frame.frame_id}
-
-
-def _lines(poses: Iterable[np.ndarray], colour: Colour, opacities: Sequence[float], width: float) -> Fields:
-    ends, colours = list[Fields](), list[Fields]()
-    for arms, opacity in zip(poses, opacities, strict=True):
-        ends += limb_ends(arms)
-        colours += [rgba(colour, opacity)] * (len(ends) - len(colours))
-    common = {"type": LINE_LIST, "color": rgba(colour, 1.0), "scale": {"x": width}, "pose": pose({})}
-    return common | {"points": ends, "colors": colours}

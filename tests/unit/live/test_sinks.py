@@ -20,10 +20,9 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.live import sinks
 from kinecast.live.counters import SinkCounters
-from kinecast.live.foxglove import scene_update
+from kinecast.live.drawing import scene_update
 from kinecast.live.loop import Live
 from kinecast.live.mailbox import Mailbox
-from kinecast.live.mcap_file import schema
 from kinecast.live.network import Address, Network
 from kinecast.live.publication import Publication
 from kinecast.live.sender_guard import SenderGuard
@@ -33,8 +32,12 @@ from kinecast.types import SkeletonFrame, Status
 
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
 LONG = 120.0
-SCHEMA, SCENE_UPDATE = schema("kinecast.Prediction"), schema("foxglove.SceneUpdate")
-MODEL = Path(__file__).resolve().parents[3] / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
+DATA = Path(__file__).resolve().parents[3] / "src" / "kinecast" / "data"
+MODEL = DATA / "models" / "zero_velocity.npz"
+SCHEMA, SCENE_UPDATE = (
+    json.loads((DATA / "schemas" / f"{name}.json").read_text())
+    for name in ("kinecast.Prediction", "foxglove.SceneUpdate")
+)
 
 
 @pytest.fixture(scope="module")
