@@ -12,7 +12,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import UInt8, UInt16
-from msgspec import Meta
 
 from kinecast.cameras.depth import DepthImage, detection_of, lifted, stereo_noise
 from kinecast.cameras.people_tracker import PeopleTracker, PersonDetector
@@ -23,7 +22,7 @@ from kinecast.errors import MissingExtraError, OptionError
 from kinecast.live.clock import SourceClock
 from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
-from kinecast.live.settings import Size, width_height
+from kinecast.live.settings import Meta, Size, width_height
 
 try:
     try:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from msgspec import Meta
 
 from kinecast.cameras.keypoints import keypoint_std
 from kinecast.cameras.landmarker import JOINTS, MOST_PEOPLE, Landmarker, Landmarks
@@ -25,7 +24,7 @@ from kinecast.datasets.remote_file import cached_model
 from kinecast.errors import OptionError
 from kinecast.live.detection import LEAST_CONFIDENCE, Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
-from kinecast.live.settings import Size, width_height
+from kinecast.live.settings import Meta, Size, width_height
 
 MODEL = "pose-landmarker"
 FIELD_OF_VIEW = 65.0  # of most webcams, from the left edge to the right [deg]: makers give 60 to 70

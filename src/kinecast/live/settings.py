@@ -9,11 +9,12 @@ from typing import Annotated, Any, TypeVar
 from urllib.parse import parse_qsl
 
 import msgspec
+from msgspec import Meta as Meta  # also for modules of other extras, which import this first
 from msgspec import inspect
 
 from kinecast.errors import OptionError
 
-Size = Annotated[str, msgspec.Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}\Z", description="a size such as 640x480")]
+Size = Annotated[str, Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}\Z", description="a size such as 640x480")]
 """Width and height of pictures [px]."""
 
 _T = TypeVar("_T")
@@ -28,7 +29,7 @@ def read_settings(options: type[_T], query: str, text: str) -> _T:
     """Options from `name=value` with `&` between.
 
     Args:
-        options: a dataclass; its annotations say what is allowed of each setting (msgspec.Meta, Literal).
+        options: a dataclass; its annotations say what is allowed of each setting (Meta, Literal).
         query: what was written.
         text: the SOURCE or SINK, for messages.
 
