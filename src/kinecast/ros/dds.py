@@ -43,8 +43,7 @@ WRITER = Qos(_RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(10),
 READER = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(100), _CDR)
 STATIC_READER = Qos(_RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(100), _CDR)
 
-_domains: dict[int, tuple[str, Domain]] = {}
-_lock = threading.Lock()
+_domains: dict[int, tuple[str, Domain]] = {}  # of this process, each with its network
 
 
 @dataclass(frozen=True)
@@ -137,15 +136,14 @@ def participant(number: str, network: str) -> DomainParticipant:
     if not (number.isascii() and number.isdecimal() and int(number) <= 232):
         raise OptionError(f"domain {number} is outside 0..232")
     domain = int(number)
-    with _lock:
-        try:
-            if domain not in _domains:
-                _domains[domain] = network, Domain(domain, _configuration(network))
-            if _domains[domain][0] != network:
-                raise OptionError(f"network {network!r}: this process uses {_domains[domain][0]!r} for domain {domain}")
-            return DomainParticipant(domain)
-        except DDSException as error:
-            raise OptionError(f"DDS: domain {domain} cannot be opened on {network or LOOPBACK} ({error})") from None
+    try:
+        if domain not in _domains:
+            _domains[domain] = network, Domain(domain, _configuration(network))
+        if _domains[domain][0] != network:
+            raise OptionError(f"network {network!r}: this process uses {_domains[domain][0]!r} for domain {domain}")
+        return DomainParticipant(domain)
+    except DDSException as error:
+        raise OptionError(f"DDS: domain {domain} cannot be opened on {network or LOOPBACK} ({error})") from None
 
 
 def _configuration(network: str) -> str | None:
