@@ -225,7 +225,7 @@ def test_positions_are_carried_into_the_frame_that_was_asked_for() -> None:
     [
         ({"a": ("b", (0, 0, 0)), "b": ("a", (0, 0, 0))}, "or a circle"),
         ({"a": ("b", (np.nan, 0, 0))}, "the transform of 'a'"),
-        ({"": ("b", (0, 0, 0))}, "a frame's name has 0 characters"),
+        ({"": ("b", (0, 0, 0))}, "frame '': 1 to 64 printable characters"),
         ({f"f{k}": ("b", (0, 0, 0)) for k in range(1025)}, "more than 1024 coordinate frames"),
     ],
 )
