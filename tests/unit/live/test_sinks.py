@@ -242,7 +242,7 @@ def test_the_loop_goes_on_whatever_happens(
     mailbox = Mailbox()
     good, bad = mailbox.feed("good"), mailbox.feed("bad")
     sink = JsonlSink(tmp_path / "a.jsonl")
-    live = Live(mailbox, lambda: predictor, [sink, Broken()])
+    live = Live(mailbox, {good: predictor, bad: predictor}, [sink, Broken()])
     frames = [SkeletonFrame(k / 30, ARM_JOINTS, REST) for k in range(12)]
     for k, frame in enumerate(frames):
         good.put(frame, 0.0)
@@ -267,8 +267,8 @@ def test_a_source_that_lies_changes_nothing_for_another() -> None:
     camera, liar = mailbox.feed("camera"), mailbox.feed("liar")
     taken: list[Publication] = []
     sink = Kept(taken)
-    live = Live(mailbox, lambda: Predictor.load(MODEL, options=PredictorOptions(samples=20)), [sink])
-    alone = Predictor.load(MODEL, options=PredictorOptions(samples=20))
+    theirs, his, alone = (Predictor.load(MODEL, options=PredictorOptions(samples=20)) for _ in range(3))
+    live = Live(mailbox, {camera: theirs, liar: his}, [sink])
     guard = SenderGuard(liar)
     now = time.monotonic() + 1e6  # acquired in the future: no delay, however busy the machine is
     for k in range(80):
