@@ -45,7 +45,7 @@ ROS1 = ".bag"  # ending of a bag of ROS 1
 class BagInputOptions(PlaybackOptions, InputOptions):
     """How a bag is played."""
 
-    topic: str = ""  # with the skeletons; "" for the only one there is
+    topic: str = ""  # with the skeletons; "" for `/skeletons`, else the only one there is
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,7 @@ def load(path: Path) -> list[Recording]:
 
     A DatasetError for no bag, a damaged one, or one that does not say which joint is which.
     """
-    topic = SKELETONS if SKELETONS in skeleton_topics(path) else ""
-    frames, _ = read_frames(path, BagInputOptions(topic=topic))
+    frames, _ = read_frames(path, BagInputOptions())
     once: dict[tuple[str, float], SkeletonFrame] = {}
     for frame in frames:
         once.setdefault((frame.person, frame.stamp), frame)
@@ -94,42 +93,34 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
         writer.close()
 
 
-def skeleton_topics(path: Path) -> dict[str, str]:
-    """Topics of a bag that skeletons may be read from, with the type of each; a DatasetError where it is damaged."""
-    with _opened(path) as reader:
-        types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
-    return {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
-
-
 def read_frames(path: Path, options: BagInputOptions) -> tuple[list[SkeletonFrame], int]:
     """Every skeleton of a topic, by stamp, and how many messages were none.
 
     A DatasetError for no bag, a damaged one, or one without skeletons there, an OptionError for options that do not fit
     the type of the messages.
     """
-    topics = skeleton_topics(path)
-    plain = [each for each, type_ in topics.items() if type_ != TF_TYPE] or list(topics)
-    topic = options.topic or (plain[0] if len(plain) == 1 else "")
-    if topic not in topics:
-        some = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
-        raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {some}")
-    found = list(_read(path, SkeletonSubscriber(topic, topics[topic], options)))
+    # Humble's definitions of what is read are Jazzy's
+    messages = messages_of(Distribution.NOETIC if path.suffix == ROS1 else Distribution.JAZZY)
+    found: list[SkeletonFrame | MessageError] = []
+    with _opened(path) as reader:
+        types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
+        topics = {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
+        plain = [each for each, type_ in topics.items() if type_ != TF_TYPE] or list(topics)
+        topic = options.topic or (SKELETONS if SKELETONS in topics else plain[0] if len(plain) == 1 else "")
+        if topic not in topics:
+            some = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
+            raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {some}")
+        subscriber = SkeletonSubscriber(topic, topics[topic], options)
+        wanted = [each for each in reader.connections if each.topic in subscriber.topics]
+        for count, (connection, _, content) in enumerate(reader.messages(wanted)):
+            if count >= MOST_MESSAGES:
+                raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(subscriber.topics)}")
+            found += subscriber.read(messages, connection.topic, content)
     frames = [each for each in found if isinstance(each, SkeletonFrame)]
     wrong = [each for each in found if isinstance(each, MessageError)]
     if not frames:
         raise DatasetError(path, f"no skeleton in {topic}" + (f": {wrong[0]}" if wrong else ""))
     return sorted(frames, key=lambda frame: frame.stamp), len(wrong)
-
-
-def _read(path: Path, subscriber: SkeletonSubscriber) -> Iterator[SkeletonFrame | MessageError]:
-    # Humble's definitions of what is read are Jazzy's
-    messages = messages_of(Distribution.NOETIC if path.suffix == ROS1 else Distribution.JAZZY)
-    with _opened(path) as reader:
-        wanted = [each for each in reader.connections if each.topic in subscriber.topics]
-        for count, (connection, _, content) in enumerate(reader.messages(wanted)):
-            if count >= MOST_MESSAGES:
-                raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(subscriber.topics)}")
-            yield from subscriber.read(messages, connection.topic, content)
 
 
 @contextmanager

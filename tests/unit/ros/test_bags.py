@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import DatasetError, OptionError
-from kinecast.ros.bags import BagInputOptions, BagOutputOptions, BagWriter, read_frames, skeleton_topics
+from kinecast.ros.bags import BagInputOptions, BagOutputOptions, BagWriter, read_frames
 from kinecast.ros.publisher import PredictionPublisher
 from kinecast.ros.transport import RosSink
 
@@ -41,7 +41,6 @@ def write_poses(path: Path, options: BagOutputOptions, count: int = 20) -> None:
 def test_what_is_written_is_read(tmp_path: Path, name: str, options: BagOutputOptions) -> None:
     path = tmp_path / name
     write_poses(path, options)
-    assert skeleton_topics(path) == {"/arms": "geometry_msgs/PoseArray"}
     frames, wrong = read_frames(path, BagInputOptions(joints=",".join(ARM_JOINTS)))
     assert wrong == 1
     assert [frame.stamp for frame in frames] == [NOW + k / 32 for k in range(20)]
