@@ -289,7 +289,6 @@ def test_a_port_that_is_taken_is_named(kinecast: Callable[..., Any], tmp_path: P
     ("missing", "source", "extra"),
     [
         ("websockets", "ws://:0", "live"),
-        ("onnxruntime", "realsense:?model=a.onnx", "camera"),
         ("pyrealsense2", "realsense:?model=a.onnx", "camera"),
     ],
 )
