@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
+import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-BEING_WRITTEN: list[Path] = []
-"""Folders with a draft in them: a process that ends at once would leave it there."""
+DRAFTS: set[Path] = set()
+"""What a process that ends at once has to remove (kinecast.cli)."""
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -52,9 +53,11 @@ def all_or_none(folder: Path) -> Iterator[Path]:
 @contextmanager
 def draft(near: Path, name: str) -> Iterator[Path]:
     """A folder in another, beside what is to be there under a name once it is whole; it goes whatever happens."""
-    BEING_WRITTEN.append(near)
+    folder = near / f".{name}.{secrets.token_hex(4)}"
+    DRAFTS.add(folder)
     try:
-        with tempfile.TemporaryDirectory(dir=near, prefix=f".{name}.") as folder:
-            yield Path(folder)
+        folder.mkdir(mode=0o700)
+        yield folder
     finally:
-        BEING_WRITTEN.remove(near)
+        shutil.rmtree(folder, ignore_errors=True)
+        DRAFTS.discard(folder)

@@ -122,24 +122,28 @@ class Cluster:
         for module in CARRIED:
             cloudpickle.register_pickle_by_value(module)
         name = getattr(getattr(function, "func", function), "__name__", "task").strip("_")
-        call = [
-            each if isinstance(each, Remote | list) else _Pickled(cloudpickle.dumps(each))
-            for each in (function, *arguments)
-        ]
+        # Bytes for Dask, which loses a worker that cannot unpickle what comes.
+        call = [each if isinstance(each, Remote | list) else cloudpickle.dumps(each) for each in (function, *arguments)]
         self._waiting.append(self.client.submit(_on_worker, *call, key=f"{name}-{uuid.uuid4().hex}", pure=False))
         return self._waiting[-1]
 
     def results(self, handles: Sequence[Any], progress: Progress | None = None) -> list[Any]:
         """See Serial; a ClusterError where the scheduler is gone, no worker is left, or they die under a task."""
-        from distributed import KilledWorker
+        from distributed import KilledWorker, as_completed
 
         waiting, self._waiting = self._waiting, []
+        rest = dict.fromkeys(waiting)
         try:
-            for done, future in enumerate(self._as_completed(waiting), 1):
-                if future.status != "finished":
-                    future.result()  # raises what the task raised
-                if progress:
-                    progress(done, len(waiting))
+            while rest:
+                with suppress(TimeoutError):
+                    for future in as_completed(list(rest), loop=self.client.loop, timeout=PATIENCE):
+                        del rest[future]
+                        if future.status != "finished":
+                            future.result()  # raises what the task raised
+                        if progress:
+                            progress(len(waiting) - len(rest), len(waiting))
+                if rest and not self.workers:
+                    raise ClusterError(f"no worker is left; {len(rest)} tasks are not done")
             found: list[Any] = self.client.gather(list(handles))
         except KilledWorker as error:
             died, task = error.allowed_failures, str(error.task).partition("-")[0]
@@ -151,30 +155,19 @@ class Cluster:
             raise
         return found
 
-    def _as_completed(self, futures: Sequence[Any]) -> Iterator[Any]:
-        """Each future once it is done; ClusterError where no worker is left to do the rest."""
-        from distributed import as_completed
-
-        rest = dict.fromkeys(futures)
-        while rest:
-            with suppress(TimeoutError):
-                for future in as_completed(list(rest), loop=self.client.loop, timeout=PATIENCE):
-                    del rest[future]
-                    yield future
-            if rest and not self.client.scheduler_info(n_workers=-1)["workers"]:
-                raise ClusterError(f"no worker is left; {len(rest)} tasks are not done")
+    @property
+    def workers(self) -> dict[str, Any]:
+        """What is known of each worker that is there now, by address."""
+        found: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
+        return found
 
 
 Workers = Serial | Cluster
 
 
-class _Pickled(bytes):
-    """A part of a task on its way: Dask loses a worker that cannot unpickle what comes."""
-
-
 def _on_worker(*call: Any) -> Any:
     try:
-        loaded = [pickle.loads(each) if isinstance(each, _Pickled) else each for each in call]
+        loaded = [pickle.loads(each) if isinstance(each, bytes) else each for each in call]
     except ImportError as error:
         raise ClusterError(f"a worker lacks something: {error}") from error
     return single_threaded(*loaded)
@@ -211,8 +204,9 @@ def cluster_at(where: str) -> Iterator[Cluster]:
             client = opened.enter_context(closing(Client(scheduler, timeout=PATIENCE, set_as_default=False)))
         except (OSError, ValueError) as error:
             raise ClusterError(f"--cluster {where}: no scheduler ({error})") from None
-        _check(client, f"--cluster {where}", count or 1)
-        yield Cluster(client)
+        cluster = Cluster(client)
+        _check(cluster, f"--cluster {where}", count or 1)
+        yield cluster
 
 
 def worker_count(where: str) -> int | None:
@@ -245,17 +239,16 @@ def _deaf_to_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _check(client: Any, where: str, count: int) -> None:
+def _check(cluster: Cluster, where: str, count: int) -> None:
     """Workers are there, with one thread each, and compute as this process does."""
     try:
-        client.wait_for_workers(count, timeout=PATIENCE)
+        cluster.client.wait_for_workers(count, timeout=PATIENCE)
     except TimeoutError:
         raise ClusterError(f"{where}: no worker came within {PATIENCE} s") from None
-    workers = client.scheduler_info(n_workers=-1)["workers"]
-    if any(worker["nthreads"] != 1 for worker in workers.values()):
+    if any(worker["nthreads"] != 1 for worker in cluster.workers.values()):
         raise ClusterError(f"{where}: a worker has several threads; start workers with --nthreads 1")
     try:
-        found = client.run(_facts)
+        found = cluster.client.run(_facts)
     except ImportError as error:
         raise ClusterError(f"{where}: a worker cannot run kinecast ({error})") from None
     own = _facts()

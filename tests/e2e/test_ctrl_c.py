@@ -156,6 +156,24 @@ def test_ctrl_c_is_one_line_wherever_it_comes(script: str, tmp_path: Path) -> No
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "kinecast: interrupted\n")
 
 
+STOPPED = """
+def run(_):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(100)
+    finally:
+        print("the arm stands", flush=True)
+"""
+
+
+@pytest.mark.parametrize(("script", "out"), [(STOPPED, "the arm stands\n"), (SWALLOWED, "")])
+def test_an_arm_is_stopped_first_and_the_command_ends_even_where_that_is_lost(script: str, out: str) -> None:
+    command = [sys.executable, "-c", START + script + RUN, "robot"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LONG)
+    assert (done.returncode, done.stdout) == (130, out)
+    assert done.stderr.endswith("kinecast: interrupted\n")
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_commands_end_whenever_they_are_interrupted(
     name: str, tables: tuple[Path, Path], model: Path, tmp_path: Path

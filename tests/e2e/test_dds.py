@@ -40,7 +40,7 @@ def domain() -> int:
 @pytest.fixture(scope="module")
 def other(domain: int) -> DomainParticipant:
     """A participant of this process."""
-    return participant(domain, "")
+    return participant(str(domain), "")
 
 
 def test_poses_in_and_everything_out(start: Callable[..., Any], domain: int, other: DomainParticipant) -> None:

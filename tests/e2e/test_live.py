@@ -222,7 +222,10 @@ def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--source", "ftp://x:1", "--sink", "ws://:0"), "--source ftp://x:1: expected a recording's path"),
+        (
+            ("--source", "ftp://x:1", "--sink", "ws://:0"),
+            "--source ftp://x:1: expected one of recording:, ws://HOST:PORT",
+        ),
         (("--source", "ws://:0?speed=2", "--sink", "ws://:0"), "speed unknown; allowed are camera"),
         (
             ("--source", "ws://nowhere.invalid:80", "--sink", "ws://:0"),
@@ -231,18 +234,18 @@ def test_the_example_clients_work_as_printed(start: Start, tmp_path: Path) -> No
         (("--source", "ws://:99999", "--sink", "ws://:0"), "ws://:99999: Port out of range"),
         (("--source", "udp://127.0.0.1", "--sink", "ws://:0"), "expected udp://HOST:PORT"),
         (("--source", "xsens://:99999", "--sink", "ws://:0"), "xsens://:99999: Port out of range"),
-        (("--source", "xsens://?person=anna", "--sink", "ws://:0"), "person 'anna' is no character's number, 0..255"),
-        (("--source", "xsens://?up=x", "--sink", "ws://:0"), "up 'x', allowed are z, y"),
-        (("--source", "xsens://?stamps=now", "--sink", "ws://:0"), "stamps 'now', allowed are code, arrival"),
+        (("--source", "xsens://?person=anna", "--sink", "ws://:0"), "person 'anna', expected a whole number in 0..255"),
+        (("--source", "xsens://?up=x", "--sink", "ws://:0"), "up 'x', expected y or z"),
+        (("--source", "xsens://?stamps=now", "--sink", "ws://:0"), "stamps 'now', expected arrival or code"),
         (("--source", "xsens://?name=a", "--sink", "ws://:0"), "name unknown; allowed are person, up, stamps"),
         (("--source", "nowhere.csv", "--sink", "ws://:0"), "nowhere.csv: no such file or folder"),
-        (("--source", "recording:{table}?speed=fast", "--sink", "ws://:0"), "speed 'fast' is no number"),
-        (("--source", "recording:{table}?speed=0", "--sink", "ws://:0"), "speed 0 is outside 0.01..1000"),
+        (("--source", "recording:{table}?speed=fast", "--sink", "ws://:0"), "speed 'fast', expected 0.01..1000"),
+        (("--source", "recording:{table}?speed=0", "--sink", "ws://:0"), "speed '0', expected 0.01..1000"),
         (("--sink", "ws://:0"), "--source: at least one is needed"),
-        (("--source", "ws://:0", "--sink", "printer"), "--sink printer: expected view://HOST:PORT"),
+        (("--source", "ws://:0", "--sink", "printer"), "--sink printer: expected one of view://HOST:PORT"),
         (("--source", "ws://:0", "--sink", "mcap:out.bag"), "its name must end in .mcap"),
         (("--source", "ws://:0", "--sink", "mcap:/nowhere/out.mcap"), "there is no folder /nowhere"),
-        (("--source", "ws://:0", "--sink", "ws://:0?format=xml"), "format 'xml', allowed are json, msgpack"),
+        (("--source", "ws://:0", "--sink", "ws://:0?format=xml"), "format 'xml', expected json or msgpack"),
         (("--source", "{table}", "--source", "{table}", "--sink", "ws://:0"), "is there twice"),
         (("--source", "ws://:0", "--sink", "ws://:0", "--scene", "none.yaml"), "none.yaml"),
         (("--source", "ws://:0", "--sink", "ws://:0", "--model", "none.npz"), "none.npz"),
@@ -286,7 +289,6 @@ def test_a_port_that_is_taken_is_named(kinecast: Callable[..., Any], tmp_path: P
     ("missing", "source", "extra"),
     [
         ("websockets", "ws://:0", "live"),
-        ("onnxruntime", "realsense:?model=a.onnx", "camera"),
         ("pyrealsense2", "realsense:?model=a.onnx", "camera"),
     ],
 )

@@ -123,7 +123,7 @@ def test_what_shows_nobody_says_so(live: Kinecast, tmp_path: Path) -> None:
         ("camera:73", "no camera 73 is there, or another program uses it"),
         ("camera:{}/gone.mp4", "no such file or folder"),
         ("camera:{}/corrupt.mp4", "is no video with a picture that can be read"),
-        ("camera:0?tilt=100", "tilt '100' is outside -90..90"),
+        ("camera:0?tilt=100", "tilt '100', expected -90..90"),
         ("camera:0?feet=floor", "feet=floor needs the camera's height="),
         ("camera:0?body=1.8&feet=floor&height=2", "give one"),
         ("camera:0?size=big", "expected a size such as 640x480"),

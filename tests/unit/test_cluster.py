@@ -42,7 +42,7 @@ def cluster() -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def people() -> list[Recording]:
-    return generate(SyntheticOptions(subjects=2, recordings=2, duration=4.0), seed=2)
+    return generate(SyntheticOptions(subjects=2, recordings=2, duration=2.5), seed=2)
 
 
 class Killer:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kinecast.output import BEING_WRITTEN, draft, write_atomically
+from kinecast.output import DRAFTS, draft, write_atomically
 
 
 def test_writes_replaces_and_leaves_nothing_else(tmp_path: Path) -> None:
@@ -35,8 +35,8 @@ def test_a_failure_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_whatever_writes_a_draft_says_so(tmp_path: Path) -> None:
     """A process that ends at once looks there first (kinecast.cli)."""
     with draft(tmp_path, "model.npz") as folder:
-        assert [tmp_path] == BEING_WRITTEN
+        assert {folder} == DRAFTS
         assert folder.parent == tmp_path
         (folder / "part").write_bytes(b"half")
-    assert BEING_WRITTEN == []
+    assert not DRAFTS
     assert list(tmp_path.iterdir()) == []

@@ -20,7 +20,7 @@ RECENT = 0.2  # a prediction of a person who is not seen in the picture is drawn
 LONGEST = 600  # pictures by which one is repeated where a camera was silent
 
 
-class Movie(BackgroundWriter[tuple[Picture, float]]):
+class Movie(BackgroundWriter):
     """Writes each picture at its own time; an unfinished file has another name, and none stays without a picture.
 
     A file that is at the path is replaced at the end.

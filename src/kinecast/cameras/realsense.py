@@ -5,11 +5,11 @@ from __future__ import annotations
 import ctypes
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import UInt8, UInt16
@@ -23,7 +23,7 @@ from kinecast.errors import MissingExtraError, OptionError
 from kinecast.live.clock import SourceClock
 from kinecast.live.detection import Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
-from kinecast.live.settings import numbers, picture_size, whole_number
+from kinecast.live.settings import Meta, Size, width_height
 
 with suppress(ImportError, OSError):  # pyrealsense2 needs a libusb, which a wheel can bring too
     import libusb_package
@@ -132,23 +132,13 @@ def intrinsics_of(found: Any) -> Intrinsics:
 class RealSenseOptions:
     """How a camera is used."""
 
-    model: Path  # the pose estimator's ONNX file
+    model: Path | None = None  # the pose estimator's ONNX file; None for the one that was downloaded
     detector: Path | None = None  # the person detector's; None to follow one person without
-    size: tuple[int, int] = (848, 480)  # width and height of both images [px]
-    rate: int = 30  # frames in a second
-    tilt: float = 0.0  # by how much the camera looks down [deg]
-    height: float = 0.0  # of the camera above the world's origin [m]
-
-    @classmethod
-    def parse(cls, settings: Mapping[str, str], text: str) -> RealSenseOptions:
-        """From the settings of a source, whose text is for messages; an OptionError out of range, or without model."""
-        return cls(
-            Path(settings["model"]) if settings.get("model") else cached_model("rtmpose-m"),
-            Path(settings["detector"]) if settings.get("detector") else None,
-            picture_size(settings, text, "848x480"),
-            whole_number(settings, "rate", cls.rate, text, 1.0, 300.0),
-            **numbers(settings, text, tilt=(-90.0, 90.0), height=(-10.0, 10.0)),
-        )
+    size: Size = "848x480"  # of both images
+    rate: Annotated[int, Meta(ge=1, le=300)] = 30  # frames in a second
+    tilt: Annotated[float, Meta(ge=-90, le=90)] = 0.0  # by how much the camera looks down [deg]
+    height: Annotated[float, Meta(ge=-10, le=10)] = 0.0  # of the camera above the world's origin [m]
+    camera: str = ""  # of the rig
 
 
 class RealSenseSource:
@@ -162,8 +152,8 @@ class RealSenseSource:
         self, name: str, feed: Feed, place: str, options: RealSenseOptions, handler: DetectionHandler | None = None
     ) -> None:
         detector = None if options.detector is None else PersonDetector(options.detector)
-        self._people = PeopleTracker(PoseEstimator(options.model), detector)
-        self.stream = RealSenseStream(place, options.size, options.rate)
+        self._people = PeopleTracker(PoseEstimator(options.model or cached_model("rtmpose-m")), detector)
+        self.stream = RealSenseStream(place, width_height(options.size), options.rate)
         self.address, self.intrinsics = name, self.stream.intrinsics
         self._camera = PinholeCamera(name, self.intrinsics, level_pose(options.height, float(np.radians(options.tilt))))
         self._feed = feed

@@ -5,10 +5,11 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from kinecast.datasets.remote_file import cached_model
 from kinecast.errors import OptionError
 from kinecast.live.detection import LEAST_CONFIDENCE, Detection, DetectionHandler
 from kinecast.live.mailbox import Feed
-from kinecast.live.settings import choice, numbers, picture_size, whole_number
+from kinecast.live.settings import Meta, Size, width_height
 
 MODEL = "pose-landmarker"
 FIELD_OF_VIEW = 65.0  # of most webcams, from the left edge to the right [deg]: makers give 60 to 70
@@ -36,42 +37,27 @@ CLOSING = 5.0  # longest wait for the end [s]
 class WebcamOptions:
     """How a camera is used."""
 
-    model: Path
-    people: int = 1  # at most so many are followed
-    size: tuple[int, int] | None = None  # asked of a webcam [px]
-    rate: float | None = None  # pictures in a second, asked of a webcam, and of a folder
-    fov: float | None = None  # from the left edge to the right [deg]
+    model: Path | None = None  # the network's file; None for the one that was downloaded
+    people: Annotated[int, Meta(ge=1, le=MOST_PEOPLE)] = 1  # at most so many are followed
+    size: Size | None = None  # asked of a webcam
+    rate: Annotated[float, Meta(ge=1, le=300)] | None = None  # pictures in a second, asked of a webcam, and of a folder
+    fov: Annotated[float, Meta(ge=10, le=150)] | None = None  # from the left edge to the right [deg]
     lens: Path | None = None  # a rig file with one camera, whose lens it has
-    tilt: float = 0.0  # by how much the camera looks down [deg]
-    height: float = 0.0  # of the camera above the world's origin [m]
-    body: float | None = None  # height of everybody who comes [m]
-    feet_on_floor: bool = False  # the scale is taken from where feet stand
-    confidence: float = LEAST_CONFIDENCE  # from which a joint counts as seen
-    speed: float = 1.0  # of a file or folder; 2 plays it twice as fast
+    tilt: Annotated[float, Meta(ge=-90, le=90)] = 0.0  # by how much the camera looks down [deg]
+    height: Annotated[float, Meta(ge=-10, le=10)] = 0.0  # of the camera above the world's origin [m]
+    body: Annotated[float, Meta(ge=0.8, le=2.5)] | None = None  # height of everybody who comes [m]
+    feet: Literal["floor"] | None = None  # the scale is taken from where feet stand
+    confidence: Annotated[float, Meta(ge=0, le=1)] = LEAST_CONFIDENCE  # from which a joint counts as seen
+    speed: Annotated[float, Meta(ge=0.01, le=100)] = 1.0  # of a file or folder; 2 plays it twice as fast
+    camera: str = ""  # of the rig
 
-    @classmethod
-    def parse(cls, settings: Mapping[str, str], text: str) -> WebcamOptions:
-        """From the settings of a source, whose text is for messages; an OptionError for what does not fit."""
-        size = picture_size(settings, text, "640x480")
-        feet = choice(settings, "feet", ("floor",), text) == "floor"
-        given = numbers(
-            settings, text, rate=(1.0, 300.0), fov=(10.0, 150.0), tilt=(-90.0, 90.0), height=(-10.0, 10.0),
-            body=(0.8, 2.5), confidence=(0.0, 1.0), speed=(0.01, 100.0),
-        )  # fmt: skip
-        if feet and given.get("height", cls.height) < 0.5:
-            raise OptionError(f"{text}: feet=floor needs the camera's height=, 0.5 m or more above the floor")
-        if feet and "body" in settings:
-            raise OptionError(f"{text}: body= and feet=floor both say how large people are: give one")
-        if "fov" in settings and "lens" in settings:
-            raise OptionError(f"{text}: fov= and lens= both say what the lens is: give one")
-        return cls(
-            Path(settings["model"]) if settings.get("model") else cached_model(MODEL),
-            whole_number(settings, "people", cls.people, text, 1.0, float(MOST_PEOPLE)),
-            size if "size" in settings else None,
-            lens=Path(settings["lens"]) if settings.get("lens") else None,
-            feet_on_floor=feet,
-            **given,
-        )
+    def __post_init__(self) -> None:
+        if self.feet and self.height < 0.5:
+            raise OptionError("feet=floor needs the camera's height=, 0.5 m or more above the floor")
+        if self.feet and self.body:
+            raise OptionError("body= and feet=floor both say how large people are: give one")
+        if self.fov and self.lens:
+            raise OptionError("fov= and lens= both say what the lens is: give one")
 
     def intrinsics(self, size: tuple[int, int]) -> Intrinsics:
         """Of pictures of a size [px]; an OptionError where the lens file is of others."""
@@ -89,7 +75,7 @@ class WebcamOptions:
     def scale(self) -> ScaleOptions:
         """What is known of sizes."""
         focal_std = 0.0 if self.lens else STATED_STD if self.fov else UNSTATED_STD
-        return ScaleOptions(self.body, self.feet_on_floor, focal_std, self.confidence)
+        return ScaleOptions(self.body, self.feet == "floor", focal_std, self.confidence)
 
 
 class WebcamSource:
@@ -109,8 +95,8 @@ class WebcamSource:
         watchers: Sequence[Watcher] = (),
         handler: DetectionHandler | None = None,
     ) -> None:
-        self.stream = VideoStream(place, options.size, options.rate)
-        self._landmarker = Landmarker(options.model, options.people)
+        self.stream = VideoStream(place, width_height(options.size) if options.size else None, options.rate)
+        self._landmarker = Landmarker(options.model or cached_model(MODEL), options.people)
         self.address, self.intrinsics = name, options.intrinsics(self.stream.size)
         pose = level_pose(options.height, float(np.radians(options.tilt)))
         self._camera = PinholeCamera(name, self.intrinsics, pose)

@@ -11,13 +11,12 @@ import tyro
 
 from kinecast import __version__
 from kinecast.cli.calibrate import calibrate
-from kinecast.cli.convert import convert
 from kinecast.cli.download import download
 from kinecast.cli.evaluate import demo, evaluate
-from kinecast.cli.info import info
 from kinecast.cli.live import live
 from kinecast.cli.predict import predict
 from kinecast.cli.progress import note
+from kinecast.cli.recordings import convert, info
 from kinecast.cli.robot import robot
 from kinecast.cli.simulate import simulate
 from kinecast.cli.train import train

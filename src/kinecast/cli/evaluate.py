@@ -16,8 +16,6 @@ from kinecast.body.limits import JointLimits
 from kinecast.cli.options import (
     Action,
     ClusterPlace,
-    Folder,
-    FormatName,
     Many,
     MethodNames,
     OptionalFile,
@@ -27,7 +25,7 @@ from kinecast.cli.options import (
     worker_pool,
 )
 from kinecast.cli.progress import compiling, note, progress_bar
-from kinecast.cli.recordings import listed, read_recordings, unseen
+from kinecast.cli.recordings import FormatName, listed, read_recordings, unseen
 from kinecast.datasets.recording import Recording
 from kinecast.datasets.windows import WindowOptions
 from kinecast.errors import ModelError, OptionError
@@ -53,7 +51,7 @@ Horizon = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=_HIN
 
 def evaluate(
     test: Annotated[Many, arg(help_behavior_hint="(required)")],
-    out: Folder,
+    out: Path,
     train: Many = (),
     model: Annotated[Many, arg(metavar="FILE [FILE ...]")] = (),
     methods: MethodNames = DEFAULT_METHODS,
@@ -103,17 +101,17 @@ def evaluate(
     options = replace(saved.windows if saved else WindowOptions(**told), stride=stride, label=label)
     with worker_pool(cluster) as workers:
         tested = read_recordings(test, format, "--test")
-        recordings, facts = _cut(tested, options, scene, workers)
+        recordings = TestRecording.of(tested, options, workers)
         seen = [] if saved else unseen(read_recordings(train, format, "--train"), tested)
         compared = saved or train_methods(names, seen, options, obstacles, seed, workers)
         if known := [each.name for each in tested if saved and each.name in saved.trained_on]:
             note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
-        facts |= {"version": __version__, "train": compared.trained_on, "models": compared.files}
         parts = with_ablations(compared.methods) if ablate else compared.methods
-        _score(out, parts, recordings, obstacles, replace(scores, limits=compared.limits), facts, workers)
+        facts = {"scene": None if scene is None else scene.name, "train": compared.trained_on, "models": compared.files}
+        _score(out, parts, recordings, obstacles, replace(scores, limits=compared.limits), options, facts, workers)
 
 
-def demo(out: Folder = Path("kinecast-demo")) -> None:
+def demo(out: Path = Path("kinecast-demo")) -> None:
     """Predicts the arms of real people at work, scores and draws that, and says where it all is.
 
     Args:
@@ -149,21 +147,6 @@ def method_names(text: str) -> list[str]:
     if own or not names:
         check_names(own)
     return names
-
-
-def _cut(
-    tested: Sequence[Recording], options: WindowOptions, scene: Path | None, workers: Workers
-) -> tuple[list[TestRecording], dict[str, Any]]:
-    """Windows to be scored, and what is said of them."""
-    parts = TestRecording.of(tested, options, workers)
-    facts = {
-        **{name: getattr(options, name) for name in ("rate", "window", "horizon", "stride", "label")},
-        "scene": None if scene is None else scene.name,
-        "test": [part.name for part in parts],
-        "windows": sum(len(part.observations) for part in parts),
-        "windows_left_out": sum(part.left_out for part in parts),
-    }
-    return parts, facts
 
 
 class Compared(NamedTuple):
@@ -246,15 +229,24 @@ def _score(
     recordings: Sequence[TestRecording],
     scene: Scene | None,
     options: EvaluationOptions,
+    windows: WindowOptions,
     facts: Mapping[str, Any],
     workers: Workers,
 ) -> None:
     from kinecast.evaluation.report import format_table, run_evaluation
 
+    settings = {
+        "version": __version__,
+        **{name: getattr(windows, name) for name in ("rate", "window", "horizon", "stride", "label")},
+        "test": [each.name for each in recordings],
+        "windows": sum(len(each.observations) for each in recordings),
+        "windows_left_out": sum(each.left_out for each in recordings),
+        **facts,
+    }
     if isinstance(workers, Serial):  # those of a cluster compile for themselves
         with compiling():
             warm_up(methods, recordings, scene, options)
     with progress_bar("scoring") as progress:
-        metrics = run_evaluation(out, methods, recordings, scene, options, facts, progress, workers)
+        metrics = run_evaluation(out, methods, recordings, scene, options, settings, progress, workers)
     print(format_table(metrics))
     print(f"report: {out / 'report.html'}")

@@ -93,7 +93,8 @@ def live(
     first = read_predictor(model, obstacles, options)
     logging.getLogger("kinecast").handlers = [RichHandler(console=CONSOLE, show_path=False)]  # above the table
     with ExitStack() as last, opened(inputs, outputs, cameras, obstacles) as (mailbox, comes, goes):
-        loop = Live(mailbox, lambda: Predictor(first.method, first.noise, obstacles, options), goes, level)
+        predictors = {feed: Predictor(first.method, first.noise, obstacles, options) for feed in mailbox.feeds}
+        loop = Live(mailbox, predictors, goes, level)
         _run(loop, comes, last, browser=not sinks and record is None)
     print(plain(tables(loop, running=False)))
     if failures := [sink.counters.failure for sink in goes if sink.counters.failure is not None]:

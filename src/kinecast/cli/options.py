@@ -11,7 +11,6 @@ from typing import Annotated
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from kinecast.cli.progress import compiling, note
-from kinecast.cli.recordings import FORMAT_NAMES
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.prediction.methods import METHODS
@@ -25,21 +24,12 @@ _METHODS = "".join(f"\n• {name}: {about}" for name, about in METHODS.items())
 Many = Annotated[tuple[Path, ...], arg(metavar="PATH [PATH ...]", help_behavior_hint="")]
 What = Positional[Many]
 File = Annotated[Path, arg(metavar="FILE")]
-Folder = Annotated[Path, arg(metavar="FOLDER")]
 Switch = FlagCreatePairsOff[bool]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")]
 ModelFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: the shipped one)")]
 Horizon = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="(default: all that the model does)")]
 ClusterPlace = Annotated[str | None, arg(metavar="ADDRESS|local[:N]", help_behavior_hint="(default: this process)")]
 Action = Annotated[str | None, arg(metavar="ACTION", help_behavior_hint="(default: all)")]
-FormatName = Annotated[
-    str | None,
-    arg(
-        metavar="NAME",
-        help=f"format of the recordings: {', '.join(FORMAT_NAMES)}.",
-        help_behavior_hint="(default: found by content)",
-    ),
-]
 MethodName = Annotated[
     str,
     arg(metavar="NAME", help=f"the method:{_METHODS}", help_behavior_hint=lambda default: f"\n(default: {default})"),
@@ -73,7 +63,7 @@ def worker_pool(where: str | None) -> Iterator[Workers]:
         yield Serial()
         return
     with cluster_at(where) as cluster:
-        count = len(cluster.client.scheduler_info(n_workers=-1)["workers"])
+        count = len(cluster.workers)
         note(f"cluster {where}: {count} worker{'s' * (count != 1)}")
         yield cluster
 

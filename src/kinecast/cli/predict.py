@@ -11,7 +11,6 @@ from tyro.conf import Positional
 
 from kinecast.cli.options import (
     File,
-    FormatName,
     Horizon,
     ModelFile,
     OptionalFile,
@@ -20,7 +19,7 @@ from kinecast.cli.options import (
     read_predictor,
 )
 from kinecast.cli.progress import progress_bar, status_lines
-from kinecast.cli.recordings import one_scene, read_recordings
+from kinecast.cli.recordings import FormatName, one_scene, read_recordings
 from kinecast.datasets.table import Rows, require_extra, words, write_rows
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import stream

@@ -6,7 +6,6 @@ from kinecast.cli.options import (
     Action,
     ClusterPlace,
     File,
-    FormatName,
     MethodName,
     OptionalFile,
     What,
@@ -15,7 +14,7 @@ from kinecast.cli.options import (
     worker_pool,
 )
 from kinecast.cli.progress import progress_bar
-from kinecast.cli.recordings import read_recordings
+from kinecast.cli.recordings import FormatName, read_recordings
 from kinecast.datasets.windows import WindowOptions
 from kinecast.geometry.scene import Scene
 from kinecast.pipeline import training_windows

@@ -6,8 +6,8 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import InitVar, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from kinecast.live.mailbox import Arrival, Feed, Mailbox
 from kinecast.live.publication import Publication
@@ -25,15 +25,12 @@ class Live:
     """Sources → predictions → sinks."""
 
     mailbox: Mailbox  # that the sources' feeds belong to
-    make_predictor: InitVar[Callable[[], Predictor]]  # one for each source, so that one that lies is alone with that
+    predictors: Mapping[Feed, Predictor]  # one for each source, so that one that lies is alone with that
     sinks: Sequence[Sink]  # that take every prediction
     level: float = 0.95  # probability of the tubes
     statuses: Counter[Status] = field(default_factory=Counter)  # how often each was published
     last: dict[Feed, Status] = field(default_factory=dict)  # the newest of each source
     failures: int = 0  # frames whose prediction could not be published
-
-    def __post_init__(self, make_predictor: Callable[[], Predictor]) -> None:
-        self._predictors = {feed: make_predictor() for feed in self.mailbox.feeds}
 
     def run(self, stop: threading.Event) -> None:
         """Until it is told to stop, or every source has ended."""
@@ -47,7 +44,7 @@ class Live:
         feed, frame, acquired = arrival.feed, arrival.frame, arrival.acquired
         try:
             delay = max(time.monotonic() - acquired, 0.0)
-            prediction = self._predictors[feed].observe(frame, frame.stamp + delay * arrival.pace)
+            prediction = self.predictors[feed].observe(frame, frame.stamp + delay * arrival.pace)
             self.statuses[prediction.status] += 1
             self.last[feed] = prediction.status
             number = self.statuses.total()

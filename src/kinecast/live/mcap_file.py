@@ -21,7 +21,7 @@ from kinecast import __version__
 from kinecast.datasets.files import STREAM_LIMIT, WHOLE_LIMIT
 from kinecast.datasets.recording import Recording, describe
 from kinecast.errors import DatasetError
-from kinecast.live.foxglove import scene_update, skeleton_update
+from kinecast.live.drawing import scene_update, skeleton_update
 from kinecast.live.message_file import message, read, recordings_of
 from kinecast.live.publication import Publication
 from kinecast.live.sinks import FileSink
@@ -29,37 +29,26 @@ from kinecast.pipeline import labelled_frames
 
 PREDICTIONS, SKELETONS, SCENE = "/kinecast/predictions", "/kinecast/skeletons", "/kinecast/scene"  # topics
 _SCHEMAS = {PREDICTIONS: "kinecast.Prediction", SKELETONS: "kinecast.Skeleton", SCENE: "foxglove.SceneUpdate"}
+"""Their names, and those of files in data/schemas; `foxglove.SceneUpdate` is without the parts that stay empty."""
 METADATA, RECORDINGS = "kinecast", "recordings"
 LATEST = 2**63 - 1  # latest time that a reader in another language can hold [ns]
 
 
-def schema(name: str) -> dict[str, Any]:
-    """A JSON schema that comes with kinecast.
-
-    `foxglove.SceneUpdate` is without what is in arrows, cubes, triangles and models: they stay empty.
-    """
-    found: dict[str, Any] = json.loads((files("kinecast") / "data" / "schemas" / f"{name}.json").read_text("utf-8"))
-    return found
-
-
-class _JsonWriter:
+class _JsonWriter(Writer):
     """Writes JSON messages on two topics: what is said, and the drawing of it."""
 
     def __init__(self, file: IO[bytes], topic: str) -> None:
-        self.mcap = Writer(file, compression=CompressionType.LZ4)
-        self.mcap.start(profile="", library=f"kinecast {__version__}")
-        self._channels = []
+        super().__init__(file, compression=CompressionType.LZ4)
+        self.start(profile="", library=f"kinecast {__version__}")
+        self._topics = []
         for each in (topic, SCENE):
-            content = json.dumps(schema(_SCHEMAS[each])).encode()
-            registered = self.mcap.register_schema(_SCHEMAS[each], "jsonschema", content)
-            self._channels.append(self.mcap.register_channel(each, "json", registered))
+            content = (files("kinecast") / "data" / "schemas" / f"{_SCHEMAS[each]}.json").read_bytes()
+            schema = self.register_schema(_SCHEMAS[each], "jsonschema", content)
+            self._topics.append(self.register_channel(each, "json", schema))
 
     def add(self, content: bytes, drawing: dict[str, Any], logged: int, published: int, sequence: int = 0) -> None:
-        for channel, data in zip(self._channels, (content, msgspec.json.encode(drawing)), strict=True):
-            self.mcap.add_message(channel, logged, data, published, sequence)
-
-    def finish(self) -> None:
-        self.mcap.finish()  # type: ignore[no-untyped-call]
+        for topic, data in zip(self._topics, (content, msgspec.json.encode(drawing)), strict=True):
+            self.add_message(topic, logged, data, published, sequence)
 
 
 class McapSink(FileSink):
@@ -76,7 +65,7 @@ class McapSink(FileSink):
         self._writer.add(publication.json, drawing, int(acquired * 1e9), time.time_ns(), publication.number)
 
     def finish(self) -> None:
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
 
 
 def write(path: Path, recordings: Sequence[Recording]) -> None:
@@ -87,11 +76,11 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
     with path.open("wb") as file:
         writer = _JsonWriter(file, SKELETONS)
         described = json.dumps([asdict(describe(recording)) for recording in recordings])
-        writer.mcap.add_metadata(METADATA, {RECORDINGS: described})
+        writer.add_metadata(METADATA, {RECORDINGS: described})
         for frame, label in labelled_frames(recordings):
             logged = min(max(int(frame.stamp * 1e9), 0), LATEST)
             writer.add(message(frame, label), skeleton_update(frame, logged / 1e9), logged, logged)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def load(path: Path) -> list[Recording]:
@@ -140,15 +129,16 @@ def _decompressed(chunk: Chunk) -> bytes:
     size = chunk.uncompressed_size
     if size > WHOLE_LIMIT:
         raise ValueError(f"a chunk of {size} bytes, at most {WHOLE_LIMIT} are taken")
-    if chunk.compression == "lz4":
-        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
-    elif chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor(max_window_size=WHOLE_LIMIT).stream_reader(chunk.data) as reader:
-            data = reader.read(size + 1)
-    elif chunk.compression == "":
-        data = chunk.data
-    else:
-        raise ValueError(f"compression {chunk.compression!r}; lz4 and zstd are read")
+    match chunk.compression:
+        case "lz4":
+            data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+        case "zstd":
+            unpacking = zstandard.ZstdDecompressor(max_window_size=WHOLE_LIMIT)
+            data = unpacking.stream_reader(chunk.data).read(size + 1)
+        case "":
+            data = chunk.data
+        case other:
+            raise ValueError(f"compression {other!r}; lz4 and zstd are read")
     if len(data) != size:
         raise ValueError(f"a chunk says {size} bytes and holds others")
     return data

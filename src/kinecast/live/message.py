@@ -85,7 +85,7 @@ def person_of(message: SkeletonMessage) -> SkeletonFrame | Detection:
 def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
     """The frame that a message's positions describe; a MessageError where they describe none. See `decode`."""
     rows = message.positions or []
-    columns, joints = _columns(message, len(rows), "positions")
+    columns, joints = _columns(message, len(rows))
     if any(len(rows[column]) != 3 for column in columns):
         raise MessageError("a position is not three numbers")
     positions = np.array([rows[column] for column in columns], dtype=np.float64)  # None is NaN
@@ -93,7 +93,7 @@ def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
     if farthest > FARTHEST:
         raise MessageError(f"a position is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
     positions[~np.isfinite(positions).all(axis=1)] = np.nan
-    std = None if message.std is None else _of_each("std", message.std, len(rows), "positions")[list(columns)]
+    std = None if message.std is None else _of_each("std", message.std, len(rows))[columns]
     if std is not None and (std < 0).any():
         raise MessageError("std is below 0")
     person, frame_id = name_in("person", str(message.person)), name_in("frame_id", message.frame_id)
@@ -101,39 +101,34 @@ def skeleton_frame(message: SkeletonMessage) -> SkeletonFrame:
 
 
 def _detection(message: SkeletonMessage, rows: list[list[float | None] | None]) -> Detection:
-    columns, joints = _columns(message, len(rows), "pixels")
+    columns, joints = _columns(message, len(rows))
     if any(row is not None and len(row) != 2 for row in rows):
         raise MessageError("a pixel is not two numbers")
     pixels = np.array([row or (None, None) for row in rows], dtype=np.float64)
-    each = {
-        name: np.full(len(columns), 1.0 if name == "confidence" else np.nan)
-        if (values := getattr(message, name)) is None
-        else _of_each(name, values, len(rows), "pixels")[list(columns)]
-        for name in ("pixel_std", "depth", "depth_std", "confidence")
-    }
+    said = {name: getattr(message, name) for name in ("pixel_std", "depth", "depth_std", "confidence")}
+    unsaid = {name: [1.0 if name == "confidence" else None] * len(rows) for name, each in said.items() if each is None}
+    each = {name: _of_each(name, values, len(rows))[columns] for name, values in (said | unsaid).items()}
     camera = name_in("camera", message.camera) if message.camera else ""
     person = name_in("person", str(message.person))
-    return Detection(float(message.stamp), camera, joints, pixels[list(columns)], **each, person=person)
+    return Detection(float(message.stamp), camera, joints, pixels[columns], **each, person=person)
 
 
-def _of_each(name: str, values: list[float | None], rows: int, of: str) -> Float[np.ndarray, " N"]:
+def _of_each(name: str, values: list[float | None], rows: int) -> Float[np.ndarray, " N"]:
     """A field with one number for each row; null is NaN."""
     if len(values) != rows:
-        raise MessageError(f"{len(values)} {name} for {rows} {of}")
+        raise MessageError(f"{len(values)} {name} for {rows} rows")
     return np.array(values, dtype=np.float64)
 
 
-def _columns(message: SkeletonMessage, rows: int, of: str) -> tuple[tuple[int, ...], tuple[str, ...]]:
+def _columns(message: SkeletonMessage, rows: int) -> tuple[list[int], tuple[str, ...]]:
     """Which rows are used, and the canonical names of their joints."""
     if rows > MOST_JOINTS:
-        raise MessageError(f"{rows} {of}, at most {MOST_JOINTS} are taken")
+        raise MessageError(f"{rows} rows, at most {MOST_JOINTS} are taken")
     return _known_columns(message.skeleton, None if message.joints is None else tuple(message.joints), rows)
 
 
 @lru_cache(maxsize=64)
-def _known_columns(
-    skeleton: str | None, names: tuple[str, ...] | None, rows: int
-) -> tuple[tuple[int, ...], tuple[str, ...]]:
+def _known_columns(skeleton: str | None, names: tuple[str, ...] | None, rows: int) -> tuple[list[int], tuple[str, ...]]:
     if skeleton is not None and skeleton not in _SKELETONS:
         raise MessageError(f"skeleton {_short(skeleton)!r} is unknown; known are {', '.join(_SKELETONS)}")
     if names is None and skeleton is None:
@@ -150,7 +145,7 @@ def _known_columns(
         require_arms(joints, "joints")
     except DatasetError as error:
         raise MessageError(_short(str(error))) from None
-    return tuple(used), joints
+    return list(used), joints
 
 
 def name_in(field: str, text: str) -> str:

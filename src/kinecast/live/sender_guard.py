@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from kinecast.live.clock import SourceClock
@@ -24,6 +25,13 @@ class CameraFusion(Protocol):
     def cameras(self) -> Collection[str]: ...  # names of those in the rig
 
     def put(self, camera: str, feed: Feed, person: Detection | SkeletonFrame, acquired: float) -> None: ...
+
+
+@dataclass(frozen=True)
+class SenderOptions:
+    """What messages do not say themselves."""
+
+    camera: str = ""  # of the rig, whose frames all are; "" where messages say it
 
 
 class SenderGuard:

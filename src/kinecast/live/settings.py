@@ -1,63 +1,69 @@
-"""What stands behind the question mark of a SOURCE or SINK."""
+"""What stands behind the question mark of a SOURCE or SINK, read into the dataclass of options that it is for."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
 from urllib.parse import parse_qsl
+
+import msgspec
+from msgspec import Meta as Meta  # also for modules of other extras, which import this first
+from msgspec import inspect
 
 from kinecast.errors import OptionError
 
+Size = Annotated[str, Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}\Z", description="a size such as 640x480")]
+"""Width and height of pictures [px]."""
 
-def settings_of(text: str, query: str, allowed: tuple[str, ...]) -> dict[str, str]:
-    """Those in the query of a SOURCE or SINK, `name=value` with `&` between; OptionError for a name not allowed."""
-    found = dict(parse_qsl(query, keep_blank_values=True))
-    unknown = sorted(set(found) - set(allowed))
-    if unknown or (query and not found):
-        raise OptionError(f"{text}: {', '.join(unknown) or query} unknown; allowed are {', '.join(allowed) or 'none'}")
-    return found
+_T = TypeVar("_T")
 
 
-def choice(settings: Mapping[str, str], name: str, allowed: tuple[str, ...], text: str) -> str | None:
-    """One of the settings, None where it is not given; OptionError unless it is one of those allowed."""
-    value = settings.get(name)
-    if value not in (None, *allowed):
-        raise OptionError(f"{text}: {name} {value!r}, allowed are {', '.join(allowed)}")
-    return value
+@dataclass(frozen=True)
+class NoOptions:
+    """Of what nothing can be set."""
 
 
-def number(
-    settings: Mapping[str, str], name: str, default: float, text: str, low: float = -math.inf, high: float = math.inf
-) -> float:
-    """One of the settings as a number, OptionError for others; without a range, whoever takes it checks that."""
+def read_settings(options: type[_T], query: str, text: str) -> _T:
+    """Options from `name=value` with `&` between.
+
+    Args:
+        options: a dataclass; its annotations say what is allowed of each setting (Meta, Literal).
+        query: what was written.
+        text: the SOURCE or SINK, for messages.
+
+    Raises:
+        OptionError: a name is none of its fields, or a value is not allowed.
+    """
+    given = dict(parse_qsl(query, keep_blank_values=True))
+    fields = {field.name: field.type for field in inspect.type_info(options).fields}  # type: ignore[attr-defined]
+    unknown = sorted(given.keys() - fields)
+    if unknown or (query and not given):
+        raise OptionError(f"{text}: {', '.join(unknown) or query} unknown; allowed are {', '.join(fields) or 'none'}")
     try:
-        value = float(settings.get(name, default))
-    except ValueError:
-        raise OptionError(f"{text}: {name} {settings[name]!r} is no number") from None
-    if not low <= value <= high and (low, high) != (-math.inf, math.inf):
-        raise OptionError(f"{text}: {name} {settings[name]!r} is outside {low:g}..{high:g}")
-    return value
+        said = {name: value for name, value in given.items() if value}
+        return msgspec.convert(said, options, strict=False, dec_hook=lambda _, value: Path(value))
+    except msgspec.ValidationError as error:
+        if found := re.search(r" - at `\$\.(\w+)`$", str(error)):
+            name = found[1]
+            raise OptionError(f"{text}: {name} {given[name]!r}, expected {_allowed(fields[name])}") from None
+        raise OptionError(f"{text}: {error}") from None
 
 
-def numbers(settings: Mapping[str, str], text: str, **ranges: tuple[float, float]) -> dict[str, float]:
-    """Those of several settings that are given; see `number`."""
-    return {name: number(settings, name, 0.0, text, *span) for name, span in ranges.items() if name in settings}
+def width_height(size: str) -> tuple[int, int]:
+    """Of a size [px]."""
+    width, _, height = size.partition("x")
+    return int(width), int(height)
 
 
-def picture_size(settings: Mapping[str, str], text: str, usual: str) -> tuple[int, int]:
-    """Width and height of pictures [px], written as 640x480; OptionError for anything else."""
-    found = re.fullmatch(r"([1-9]\d{1,3})x([1-9]\d{1,3})", settings.get("size", usual))
-    if found is None:
-        raise OptionError(f"{text}: size {settings['size']!r}, expected a size such as {usual}")
-    return int(found[1]), int(found[2])
-
-
-def whole_number(
-    settings: Mapping[str, str], name: str, default: int, text: str, low: float = -math.inf, high: float = math.inf
-) -> int:
-    """See `number`; a fraction is an OptionError too."""
-    value = number(settings, name, float(default), text, low, high)
-    if not value.is_integer():
-        raise OptionError(f"{text}: {name} {settings[name]!r} is no whole number")
-    return int(value)
+def _allowed(type_: Any) -> str:
+    """What values a setting may have."""
+    if isinstance(type_, inspect.UnionType):  # with None, where it is not given
+        type_ = type_.types[0]
+    if isinstance(type_, inspect.Metadata):
+        return str((type_.extra_json_schema or {})["description"])
+    if isinstance(type_, inspect.LiteralType):
+        return " or ".join(map(str, type_.values))
+    whole = "a whole number in " if isinstance(type_, inspect.IntType) else ""
+    return f"{whole}{type_.ge:g}..{type_.le:g}"

@@ -6,8 +6,9 @@ import queue
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Generic, Protocol, TypeVar, runtime_checkable
+from typing import IO, Any, Literal, Protocol, runtime_checkable
 
 from websockets.asyncio.server import broadcast
 
@@ -19,8 +20,6 @@ MOST_WAITING = 100  # publications that wait for a disc; of more the oldest are 
 MOST_UNSENT = 256 * 1024  # bytes that may wait for one client; while there are more, it misses what is published
 LARGEST_REQUEST = 1024  # clients have nothing to say here; what they say is passed over
 LOOK = 0.05  # longest wait for a publication before looking whether to end, or whether something has expired [s]
-
-Item = TypeVar("Item")
 
 
 @runtime_checkable
@@ -35,7 +34,7 @@ class Sink(Protocol):
     def close(self) -> None: ...  # sends or writes what it has taken, and ends within seconds
 
 
-class BackgroundWriter(Generic[Item]):
+class BackgroundWriter:
     """Writes what it is given in a thread of its own; of more than there is room for, the oldest that waits is dropped.
 
     What `write`, `expire` (at least every `LOOK` seconds) and `finish` raise is counted.
@@ -44,12 +43,12 @@ class BackgroundWriter(Generic[Item]):
     def __init__(self, address: str, most_waiting: int = MOST_WAITING, verb: str = "written") -> None:
         self.address, self.counters = address, SinkCounters(address, verb, OSError)
         self._room = most_waiting
-        self._waiting: queue.Queue[tuple[Item, float]] = queue.Queue()
+        self._waiting: queue.Queue[tuple[Any, float]] = queue.Queue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=address, daemon=True)
         self._thread.start()
 
-    def write(self, item: Item) -> None:
+    def write(self, item: Any) -> None:
         """Writes or sends one."""
         raise NotImplementedError
 
@@ -62,7 +61,11 @@ class BackgroundWriter(Generic[Item]):
     def release(self) -> None:
         """Closes what was opened."""
 
-    def put(self, item: Item, acquired: float) -> None:
+    def publish(self, publication: Publication) -> None:
+        """See Sink."""
+        self.put(publication, publication.acquired)
+
+    def put(self, item: Any, acquired: float) -> None:
         """Takes one that was acquired at a time [s] on `time.monotonic`; never waits."""
         if self._waiting.qsize() >= self._room:
             with suppress(queue.Empty):
@@ -90,16 +93,12 @@ class BackgroundWriter(Generic[Item]):
             self.counters.fail(error)
 
 
-class FileSink(BackgroundWriter[Publication]):
+class FileSink(BackgroundWriter):
     """A file of publications; one that is at the path is replaced, or an OSError raised."""
 
     def __init__(self, path: Path) -> None:
         self.file: IO[bytes] = path.open("wb")
         super().__init__(str(path))
-
-    def publish(self, publication: Publication) -> None:
-        """See Sink."""
-        self.put(publication, publication.acquired)
 
     def release(self) -> None:
         self.file.close()
@@ -112,13 +111,20 @@ class JsonlSink(FileSink):
         self.file.write(publication.json + b"\n")
 
 
+@dataclass(frozen=True)
+class WebSocketOptions:
+    """What clients get."""
+
+    format: Literal["json", "msgpack"] = "json"
+
+
 class WebSocketSink(WebSocketServer):
     """Sends every client each prediction (docs/live.md), as JSON text or binary msgpack, and waits for none of them."""
 
-    def __init__(self, address: Address, network: Network, msgpack: bool = False) -> None:
+    def __init__(self, address: Address, network: Network, options: WebSocketOptions) -> None:
         super().__init__(address, network, LARGEST_REQUEST)
         self.counters = SinkCounters(self.address, "sent")
-        self._msgpack = msgpack
+        self._msgpack = options.format == "msgpack"
         self._newest: dict[tuple[str, str], Publication] = {}
         self._lock = threading.Lock()
 

@@ -8,11 +8,11 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
+from msgspec import Meta
 from websockets.asyncio.server import ServerConnection
 
-from kinecast.errors import OptionError
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import LARGEST_MESSAGE
 from kinecast.live.network import CLOSING, Address, Network, WebSocketServer
@@ -88,6 +88,14 @@ class UdpSource(asyncio.DatagramProtocol):
         self._feed.clients = self._guard.senders
 
 
+@dataclass(frozen=True)
+class PlaybackOptions:
+    """How a recording is played."""
+
+    speed: Annotated[float, Meta(ge=0.01, le=1000)] = 1.0  # 2 plays twice as fast
+    repeat: Annotated[int, Meta(ge=1, le=100_000)] = 1  # how often it is played, with stamps that go on
+
+
 @dataclass
 class RecordedSource:
     """Plays a recording's frames, by stamp; each is acquired at the instant it is due."""
@@ -95,14 +103,9 @@ class RecordedSource:
     address: str
     feed: Feed
     frames: Sequence[SkeletonFrame]
-    speed: float = 1.0  # 2 plays twice as fast
-    repeat: int = 1  # how often it is played, with stamps that go on
+    options: PlaybackOptions
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.speed <= 1000:
-            raise OptionError(f"{self.address}: speed {self.speed:g} is outside 0.01..1000")
-        if self.repeat < 1:
-            raise OptionError(f"{self.address}: repeat {self.repeat} must be at least 1")
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._play, name=self.address, daemon=True)
 
@@ -115,13 +118,13 @@ class RecordedSource:
             self._thread.join(CLOSING)
 
     def _play(self) -> None:
-        begun = time.monotonic()
+        begun, speed = time.monotonic(), self.options.speed
         first, last = self.frames[0].stamp, self.frames[-1].stamp
         period = (last - first) * len(self.frames) / max(len(self.frames) - 1, 1)
-        for turn, frame in itertools.product(range(self.repeat), self.frames):
+        for turn, frame in itertools.product(range(self.options.repeat), self.frames):
             stamp = frame.stamp + turn * period
-            due = begun + (stamp - first) / self.speed
+            due = begun + (stamp - first) / speed
             if self._stop.wait(max(due - time.monotonic(), 0.0)):
                 break
-            self.feed.put(replace(frame, stamp=stamp), due, self.speed)
+            self.feed.put(replace(frame, stamp=stamp), due, speed)
         self.feed.end()

@@ -7,25 +7,23 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from msgspec import Meta
 
 from kinecast.body.skeleton import XSENS_23
-from kinecast.errors import OptionError
 from kinecast.geometry.transforms import from_y_up
 from kinecast.live.mailbox import Feed
 from kinecast.live.message import FARTHEST, MessageError
 from kinecast.live.sender_guard import FORGET, MOST_PERSONS, SenderGuard
-from kinecast.live.settings import choice
 from kinecast.types import SkeletonFrame
 
 DEFAULT_PORT = 9763  # MVN sends to this one unless told otherwise (2.3)
 BODY = 23  # segments with the ids 1 to 23 are the body (3.1); what follows are props and fingers
-MOST_CHARACTERS = 256
 MOST_PENDING = 3  # samples of a character that wait for their other datagrams
 REORDERED = 64
 """A sample at most so far behind the newest was overtaken on its way; one farther behind is of a new beginning."""
@@ -51,18 +49,11 @@ _UPPER_ARMS = np.array(
 class XsensOptions:
     """What MVN's datagrams leave open."""
 
-    person: int | None = None  # the only character to take (0..255); None for all
-    up: str | None = None  # "z" or "y", as chosen in MVN; None for its default: y with Euler angles, z with quaternions
-    by_arrival: bool = False  # the time of arrival stamps a frame: for senders whose time code stands still
-
-    @classmethod
-    def parse(cls, settings: Mapping[str, str], text: str) -> XsensOptions:
-        """From `person`, `up` and `stamps` of a source; an OptionError for one outside its range."""
-        person = settings.get("person")
-        if person is not None and not (person.isascii() and person.isdigit() and int(person) < MOST_CHARACTERS):
-            raise OptionError(f"{text}: person {person!r} is no character's number, 0..{MOST_CHARACTERS - 1}")
-        up, stamps = choice(settings, "up", ("z", "y"), text), choice(settings, "stamps", ("code", "arrival"), text)
-        return cls(None if person is None else int(person), up, stamps == "arrival")
+    person: Annotated[int, Meta(ge=0, le=255)] | None = None  # the only character to take; None for all
+    up: Literal["z", "y"] | None = (
+        None  # as chosen in MVN; None for its default: y with Euler angles, z with quaternions
+    )
+    stamps: Literal["code", "arrival"] = "code"  # what a frame's stamp is; time codes of some senders stand still
 
 
 class _Datagram(NamedTuple):
@@ -192,7 +183,8 @@ class XsensGuard(SenderGuard):
 
     def _frame(self, character: _Character, parts: list[_Datagram], arrived: float) -> SkeletonFrame:
         milliseconds = parts[0].milliseconds
-        if not self._options.by_arrival and milliseconds == character.milliseconds:
+        by_arrival = self._options.stamps == "arrival"
+        if not by_arrival and milliseconds == character.milliseconds:
             raise MessageError("the time code stands still; ?stamps=arrival takes frames as they come")
         character.milliseconds = milliseconds
         positions = np.full((BODY, 3), np.nan)
@@ -207,5 +199,5 @@ class XsensGuard(SenderGuard):
             raise MessageError(f"a segment is {farthest:.3g} m away, at most {FARTHEST:g} m is taken")
         if self._options.up == "y" or (self._options.up is None and character.kind == _EULER):
             positions = from_y_up(positions)
-        stamp = arrived if self._options.by_arrival else milliseconds / 1000
+        stamp = arrived if by_arrival else milliseconds / 1000
         return SkeletonFrame(stamp, XSENS_23.joints, positions, str(parts[0].character))

@@ -10,10 +10,10 @@ import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import Writer as Writer1
@@ -27,17 +27,34 @@ from kinecast.errors import DatasetError, OptionError
 from kinecast.live.drawing import points, pose
 from kinecast.live.message import MessageError
 from kinecast.live.message_file import Said, recordings_of
+from kinecast.live.sources import PlaybackOptions
 from kinecast.pipeline import merged_frames
 from kinecast.ros.messages import Distribution, messages_of
+from kinecast.ros.publisher import OutputOptions
 from kinecast.ros.subscriber import INPUTS, MARKERS, SPHERE, TF_TYPE, InputOptions, SkeletonSubscriber
 from kinecast.ros.transport import Callback, Transport
 from kinecast.types import SkeletonFrame
 
 MOST_MESSAGES = 5_000_000  # read from one bag
-STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}  # of rosbag2
 SKELETONS, FRAME, DIAMETER = "/skeletons", "world", 0.05  # topic, coordinate frame and spheres of a recording
 LATEST = 2.0**31  # the first time that ROS 2 cannot say [s]
 ROS1 = ".bag"  # ending of a bag of ROS 1
+
+
+@dataclass(frozen=True)
+class BagInputOptions(PlaybackOptions, InputOptions):
+    """How a bag is played."""
+
+    topic: str = ""  # with the skeletons; "" for `/skeletons`, else the only one there is
+
+
+@dataclass(frozen=True)
+class BagOutputOptions(OutputOptions):
+    """What a bag is."""
+
+    namespace: str = "/kinecast"
+    distro: Literal["humble", "jazzy"] = "jazzy"  # whose definitions bags of ROS 2 have
+    storage: Literal["mcap", "sqlite3"] = "mcap"  # of bags of ROS 2
 
 
 def load(path: Path) -> list[Recording]:
@@ -45,8 +62,7 @@ def load(path: Path) -> list[Recording]:
 
     A DatasetError for no bag, a damaged one, or one that does not say which joint is which.
     """
-    topic = SKELETONS if SKELETONS in skeleton_topics(path) else ""
-    frames, _ = read_frames(path, topic, InputOptions())
+    frames, _ = read_frames(path, BagInputOptions())
     once: dict[tuple[str, float], SkeletonFrame] = {}
     for frame in frames:
         once.setdefault((frame.person, frame.stamp), frame)
@@ -63,7 +79,7 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         if len(recording.stamps) and not 0 <= recording.stamps.min() <= recording.stamps.max() < LATEST:
             raise DatasetError(recording.name, f"ROS can say stamps from 0 to {LATEST:.0f} s only")
-    writer = BagWriter(path, Distribution.JAZZY, "mcap")
+    writer = BagWriter(path, BagOutputOptions())
     try:
         for frame in merged_frames(recordings):
             common = {
@@ -77,43 +93,34 @@ def write(path: Path, recordings: Sequence[Recording]) -> None:
         writer.close()
 
 
-def skeleton_topics(path: Path) -> dict[str, str]:
-    """Topics of a bag that skeletons may be read from, with the type of each; a DatasetError where it is damaged."""
-    with _opened(path) as reader:
-        types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
-    return {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
-
-
-def read_frames(path: Path, topic: str, options: InputOptions) -> tuple[list[SkeletonFrame], int]:
-    """Every skeleton of a topic ("" for the only one there is), by stamp, and how many messages were none.
+def read_frames(path: Path, options: BagInputOptions) -> tuple[list[SkeletonFrame], int]:
+    """Every skeleton of a topic, by stamp, and how many messages were none.
 
     A DatasetError for no bag, a damaged one, or one without skeletons there, an OptionError for options that do not fit
     the type of the messages.
     """
-    topics = skeleton_topics(path)
-    plain = [each for each, type_ in topics.items() if type_ != TF_TYPE] or list(topics)
-    if not topic and len(plain) == 1:
-        (topic,) = plain
-    if topic not in topics:
-        some = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
-        raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {some}")
-    found = list(_read(path, SkeletonSubscriber(topic, topics[topic], options)))
+    # Humble's definitions of what is read are Jazzy's
+    messages = messages_of(Distribution.NOETIC if path.suffix == ROS1 else Distribution.JAZZY)
+    found: list[SkeletonFrame | MessageError] = []
+    with _opened(path) as reader:
+        types = {each.topic: denormalize_msgtype(each.msgtype) for each in reader.connections}
+        topics = {topic: type_ for topic, type_ in sorted(types.items()) if type_ in INPUTS}
+        plain = [each for each, type_ in topics.items() if type_ != TF_TYPE] or list(topics)
+        topic = options.topic or (SKELETONS if SKELETONS in topics else plain[0] if len(plain) == 1 else "")
+        if topic not in topics:
+            some = ", ".join(f"{each} ({type_})" for each, type_ in topics.items()) or "none"
+            raise DatasetError(path, f"say in which topic the skeletons are; those that may have some: {some}")
+        subscriber = SkeletonSubscriber(topic, topics[topic], options)
+        wanted = [each for each in reader.connections if each.topic in subscriber.topics]
+        for count, (connection, _, content) in enumerate(reader.messages(wanted)):
+            if count >= MOST_MESSAGES:
+                raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(subscriber.topics)}")
+            found += subscriber.read(messages, connection.topic, content)
     frames = [each for each in found if isinstance(each, SkeletonFrame)]
     wrong = [each for each in found if isinstance(each, MessageError)]
     if not frames:
         raise DatasetError(path, f"no skeleton in {topic}" + (f": {wrong[0]}" if wrong else ""))
     return sorted(frames, key=lambda frame: frame.stamp), len(wrong)
-
-
-def _read(path: Path, subscriber: SkeletonSubscriber) -> Iterator[SkeletonFrame | MessageError]:
-    # Humble's definitions of what is read are Jazzy's
-    messages = messages_of(Distribution.NOETIC if path.suffix == ROS1 else Distribution.JAZZY)
-    with _opened(path) as reader:
-        wanted = [each for each in reader.connections if each.topic in subscriber.topics]
-        for count, (connection, _, content) in enumerate(reader.messages(wanted)):
-            if count >= MOST_MESSAGES:
-                raise DatasetError(path, f"more than {MOST_MESSAGES} messages in {', '.join(subscriber.topics)}")
-            yield from subscriber.read(messages, connection.topic, content)
 
 
 @contextmanager
@@ -131,21 +138,18 @@ def _opened(path: Path) -> Iterator[Any]:
 class BagWriter(Transport):
     """Writes messages into a bag, and subscribes to nothing. It is opened by the thread that writes first.
 
-    The path is a file that ends in `.bag` for ROS 1, else a folder for ROS 2; neither may be there. ROS 2's bags have
-    the definitions of a distribution, and one of `STORAGES`. An OptionError where a bag cannot be written there.
+    The path is a file that ends in `.bag` for ROS 1, else a folder for ROS 2; neither may be there. An OptionError
+    where a bag cannot be written there.
     """
 
-    def __init__(self, path: Path, distribution: Distribution, storage: str) -> None:
+    def __init__(self, path: Path, options: BagOutputOptions) -> None:
         self._first = path.suffix == ROS1
-        super().__init__(messages_of(Distribution.NOETIC if self._first else distribution))
+        super().__init__(messages_of(Distribution.NOETIC if self._first else Distribution(options.distro)))
         if path.exists():
             raise OptionError(f"{path}: is there already; a bag is never replaced")
         if not os.access(path.absolute().parent, os.W_OK | os.X_OK):
             raise OptionError(f"{path}: there is no folder {path.absolute().parent} that can be written to")
-        if not self._first and storage not in STORAGES:
-            raise OptionError(f"storage {storage!r}: expected {' or '.join(STORAGES)}")
-        self._version: Any = 8 if distribution is Distribution.HUMBLE else 9  # of rosbag2's format
-        self._path, self._storage = path, storage
+        self._path, self._options = path, options
         self._connections: dict[str, Any] = {}
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
@@ -171,6 +175,7 @@ class BagWriter(Transport):
         if self._first:
             writer: Any = Writer1(self._path)
         else:
-            writer = Writer2(self._path, version=self._version, storage_plugin=STORAGES[self._storage])
+            version: Any = 8 if self._options.distro == "humble" else 9  # of rosbag2's format
+            writer = Writer2(self._path, version=version, storage_plugin=StoragePlugin[self._options.storage.upper()])
         writer.open()
         return writer

@@ -10,7 +10,8 @@ import os
 import re
 import threading
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
@@ -20,11 +21,14 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+from msgspec import Meta
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.errors import OptionError
 from kinecast.ros.messages import Distribution, Messages, messages_of
+from kinecast.ros.publisher import OutputOptions
+from kinecast.ros.subscriber import InputOptions
 from kinecast.ros.transport import CLOSING, Callback, Transport
 
 MOST_AT_ONCE = 64
@@ -39,16 +43,37 @@ WRITER = Qos(_RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(10),
 READER = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(100), _CDR)
 STATIC_READER = Qos(_RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(100), _CDR)
 
-_domains: dict[int, tuple[str, Domain]] = {}
-_lock = threading.Lock()
+_domains: dict[int, tuple[str, Domain]] = {}  # of this process, each with its network
+
+
+@dataclass(frozen=True)
+class DdsOptions:
+    """Where ROS 2 is, and which."""
+
+    distro: Literal["humble", "jazzy"] = "jazzy"  # whose definitions are spoken
+    domain: str = ""  # a number; "" for ROS_DOMAIN_ID
+    network: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.:-]*\Z", description="the name or address of an interface")] = (
+        ""
+    )
+    """"" is this machine alone, unless CYCLONEDDS_URI says otherwise."""
+
+
+@dataclass(frozen=True)
+class DdsInputOptions(DdsOptions, InputOptions):
+    """Of a source."""
+
+
+@dataclass(frozen=True)
+class DdsOutputOptions(DdsOptions, OutputOptions):
+    """Of a sink."""
 
 
 class DdsTransport(Transport):
-    """A participant of a DDS domain, which speaks Humble's or Jazzy's definitions; see `participant`."""
+    """A participant of a DDS domain; see `participant`."""
 
-    def __init__(self, distribution: Distribution, domain: int, network: str) -> None:
-        super().__init__(messages_of(distribution))
-        self._participant = participant(domain, network)
+    def __init__(self, options: DdsOptions) -> None:
+        super().__init__(messages_of(Distribution(options.distro)))
+        self._participant = participant(options.domain or os.environ.get("ROS_DOMAIN_ID", "0"), options.network)
         self._readers: list[tuple[DataReader[Any], str, Callback]] = []
         self._waiting = WaitSet(self._participant)
         self._ended = threading.Event()
@@ -103,25 +128,22 @@ class DdsTransport(Transport):
         return Topic(self._participant, f"rt{topic}", struct)
 
 
-def participant(domain: int, network: str) -> DomainParticipant:
-    """A participant of a domain, as ROS_DOMAIN_ID, on an interface, by name or address.
+def participant(number: str, network: str) -> DomainParticipant:
+    """A participant of a domain, a number as ROS_DOMAIN_ID, on an interface, as in `DdsOptions`.
 
-    The network "" is this machine alone, unless CYCLONEDDS_URI says otherwise. An OptionError for an interface that is
-    none, or not the one this process uses already.
+    An OptionError for a domain or an interface that is none, or not the one this process uses already.
     """
-    if not 0 <= domain <= 232:
-        raise OptionError(f"domain {domain} is outside 0..232")
-    if not re.fullmatch(r"[A-Za-z0-9_.:-]*", network):
-        raise OptionError(f"network {network!r} is no interface")
-    with _lock:
-        try:
-            if domain not in _domains:
-                _domains[domain] = network, Domain(domain, _configuration(network))
-            if _domains[domain][0] != network:
-                raise OptionError(f"network {network!r}: this process uses {_domains[domain][0]!r} for domain {domain}")
-            return DomainParticipant(domain)
-        except DDSException as error:
-            raise OptionError(f"DDS: domain {domain} cannot be opened on {network or LOOPBACK} ({error})") from None
+    if not (number.isascii() and number.isdecimal() and int(number) <= 232):
+        raise OptionError(f"domain {number} is outside 0..232")
+    domain = int(number)
+    try:
+        if domain not in _domains:
+            _domains[domain] = network, Domain(domain, _configuration(network))
+        if _domains[domain][0] != network:
+            raise OptionError(f"network {network!r}: this process uses {_domains[domain][0]!r} for domain {domain}")
+        return DomainParticipant(domain)
+    except DDSException as error:
+        raise OptionError(f"DDS: domain {domain} cannot be opened on {network or LOOPBACK} ({error})") from None
 
 
 def _configuration(network: str) -> str | None:

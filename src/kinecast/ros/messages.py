@@ -18,7 +18,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import denormalize_msgtype, normalize_msgtype
 from rosbags.typesys.store import Typestore
 
-from kinecast.errors import OptionError
 from kinecast.live.message import MessageError
 
 LARGEST = 1 << 20  # bytes of a message that is read; a ZED camera's has 2 kB a person
@@ -36,29 +35,17 @@ class Distribution(Enum):
     HUMBLE = "humble"
     JAZZY = "jazzy"
 
-    @property
-    def generation(self) -> int:
-        """1 or 2."""
-        return 1 if self is Distribution.NOETIC else 2
-
-
-def ros2_release(name: str, what: str) -> Distribution:
-    """A release of ROS 2 by its name; an OptionError, which says what the name is, for another."""
-    known = {each.value: each for each in Distribution if each.generation == 2}
-    if name not in known:
-        raise OptionError(f"{what} {name!r}, expected {' or '.join(known)}")
-    return known[name]
-
 
 class Messages:
     """Bytes from fields, and objects from bytes, by the definitions of a distribution. A type is `package/Type`."""
 
     def __init__(self, distribution: Distribution) -> None:
-        self.store: Typestore = get_typestore(Stores[f"ROS{distribution.generation}_{distribution.name}"])
+        first = distribution is Distribution.NOETIC
+        self.store: Typestore = get_typestore(Stores[f"ROS{1 if first else 2}_{distribution.name}"])
         self.store.max_sequence_length = LONGEST
-        self.store.register(_definitions(distribution.generation))
+        self.store.register(_definitions(first))
         self._known: dict[str, dict[str, tuple[Any, Any]]] = {}  # of each type, its fields: kind, and empty value
-        if distribution.generation == 1:
+        if first:
             self._serialize, self._deserialize = self.store.serialize_ros1, self.store.deserialize_ros1
         else:
             self._serialize, self._deserialize = self.store.serialize_cdr, self.store.deserialize_cdr
@@ -127,14 +114,12 @@ def _clock(seconds: float) -> dict[str, int]:
     return {"sec": whole + carry, "nanosec": part}
 
 
-def _definitions(generation: int) -> dict[str, Any]:
-    """Of the types that rosbags does not have."""
+def _definitions(first: bool) -> dict[str, Any]:
+    """Of the types that rosbags does not have, for ROS 1 or 2."""
     read = {path.stem: path.read_text() for path in (_HERE / "definitions").glob("*.msg")}
     texts = {"moveit_msgs/msg/PlanningScene": read["moveit_msgs"], "tf2_msgs/msg/TFMessage": read["tf2_msgs"]}
-    texts["zed_interfaces/msg/ObjectsStamped"] = zed = read[
-        "zed_interfaces_18" if generation == 1 else "zed_interfaces"
-    ]
-    if generation == 2:
+    texts["zed_interfaces/msg/ObjectsStamped"] = zed = read["zed_interfaces_18" if first else "zed_interfaces"]
+    if not first:
         texts["zed_msgs/msg/ObjectsStamped"] = zed.replace("zed_interfaces/", "zed_msgs/")
     for path in sorted((_HERE / "kinecast_msgs" / "msg").glob("*.msg")):
         texts[f"kinecast_msgs/msg/{path.stem}"] = path.read_text()

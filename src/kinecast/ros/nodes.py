@@ -5,6 +5,7 @@ Of ROS 1 no message package needs to be built or installed beside it.
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import os
 import sys
@@ -18,33 +19,28 @@ from urllib.parse import urlsplit
 from rosbags.typesys.msg import normalize_msgtype
 
 from kinecast.errors import OptionError
-from kinecast.ros.messages import Distribution, messages_of, ros2_release
+from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.transport import CLOSING, Callback, Transport
 
 DEBIAN = Path("/usr/lib/python3/dist-packages")  # of Debian's and Ubuntu's system's packages, rospy among them
 NODE = "kinecast"
 QUEUE1, QUEUE2 = 50, 10  # messages that wait for a slow subscriber; the oldest of more are dropped
 
-_open = 0
-_lock = threading.Lock()
-
 
 class Ros1Transport(Transport):
-    """A ROS 1 node of its own name, one for all transports of this process; an OptionError without rospy or master."""
+    """A ROS 1 node of its own name, one for this process until it ends; an OptionError without rospy or master."""
 
     def __init__(self) -> None:
-        global _open
         super().__init__(messages_of(Distribution.NOETIC))
         self._rospy = _import_rospy()
         rosgraph = importlib.import_module("rosgraph")
         if not rosgraph.is_master_online():
             raise OptionError(f"ros1: no master answers at {rosgraph.get_master_uri()}; start roscore")
-        with _lock:
-            if not self._rospy.core.is_initialized():
-                self._rospy.init_node(
-                    NODE, anonymous=True, disable_rosout=True, disable_signals=True, log_level=self._rospy.ERROR
-                )
-            _open += 1
+        if not self._rospy.core.is_initialized():
+            self._rospy.init_node(
+                NODE, anonymous=True, disable_rosout=True, disable_signals=True, log_level=self._rospy.ERROR
+            )
+            atexit.register(self._rospy.signal_shutdown, "ended")
         self._registered: list[Any] = []
 
     def subscribe(self, topic: str, type_: str, callback: Callback) -> None:
@@ -63,13 +59,8 @@ class Ros1Transport(Transport):
         return float(self._rospy.get_time())
 
     def close(self) -> None:
-        global _open
         for each in self._registered:
             each.unregister()
-        with _lock:
-            _open -= 1
-            if not _open:
-                self._rospy.signal_shutdown("ended")
 
     def _message_class(self, type_: str) -> Any:
         """A message class for rospy that leaves bytes as they are."""
@@ -110,7 +101,9 @@ class Ros2Transport(Transport):
             raise OptionError(
                 f"ros2: no rclpy here ({error}): source ROS 2's setup.bash, or use dds:, which needs no ROS"
             ) from None
-        super().__init__(messages_of(ros2_release(os.environ.get("ROS_DISTRO", ""), "ros2: ROS_DISTRO is")))
+        if (distro := os.environ.get("ROS_DISTRO", "")) not in ("humble", "jazzy"):
+            raise OptionError(f"ros2: ROS_DISTRO is {distro!r}, expected humble or jazzy")
+        super().__init__(messages_of(Distribution(distro)))
         self._context = self._rclpy.Context()
         self._rclpy.init(context=self._context)
         self._node = self._rclpy.create_node(NODE, context=self._context)

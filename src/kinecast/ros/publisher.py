@@ -7,20 +7,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from kinecast.body.skeleton import arms_of
 from kinecast.errors import OptionError
-from kinecast.live.drawing import SEEN, THICK, THIN, Colour, Fields, fading, limb_ends, points, pose, rgba, words_of
+from kinecast.live.drawing import SEEN, THICK, THIN, Fields, fading, limb_lines, points, pose, rgba, words_of
 from kinecast.live.publication import UPPER_TRIANGLE, Publication, colour_of
 from kinecast.ros.planning_scene import CollisionObjects
 from kinecast.types import Status
 
-OUTPUTS = ("prediction", "markers", "poses", "planning_scene")
+OUTPUTS = "prediction,markers,poses,planning_scene"
 _TYPES = {
     "prediction": "kinecast_msgs/PredictedDistribution",
     "markers": "visualization_msgs/MarkerArray",
@@ -48,33 +49,28 @@ class Posting(NamedTuple):
 class OutputOptions:
     """What is sent, and where."""
 
-    namespace: str = "/kinecast"  # of all topics
-    outputs: tuple[str, ...] = OUTPUTS  # which of `OUTPUTS`
+    outputs: str = OUTPUTS  # some of them, with commas between
     planning_scene: str = ""  # its topic; "" is below the namespace. MoveIt listens on /planning_scene
-    parts: int = 3  # of the horizon, each an object a limb that holds the tubes of all its steps; 1..8
-    thickness: float = 0.05  # of a limb around its centre line, added to every radius in the scene [m]; 0..0.5
-
-    def __post_init__(self) -> None:
-        for name in filter(None, (self.namespace, self.planning_scene)):
-            if not re.fullmatch(r"(/[A-Za-z][A-Za-z0-9_]*)+", name):
-                raise OptionError(f"{name!r} is no ROS name: expected /letters/and_digits")
-        unknown = [each for each in self.outputs if each not in OUTPUTS]
-        if unknown or not self.outputs:
-            raise OptionError(f"output {', '.join(unknown) or 'none'}: expected some of {', '.join(OUTPUTS)}")
-        if not 1 <= self.parts <= 8:
-            raise OptionError(f"parts {self.parts} is outside 1..8")
-        if not 0 <= self.thickness <= 0.5:
-            raise OptionError(f"thickness {self.thickness:g} m is outside 0..0.5 m")
+    parts: Annotated[int, Meta(ge=1, le=8)] = 3  # of the horizon, each an object a limb that holds its steps' tubes
+    thickness: Annotated[float, Meta(ge=0, le=0.5)] = 0.05
+    """Of a limb around its centre line, added to every radius in the scene [m]."""
 
 
 class PredictionPublisher:
-    """Turns predictions into messages, and remembers what must be deleted.
+    """Turns predictions into messages on topics of a namespace, and remembers what must be deleted.
 
-    Times are [s] on a clock of this machine that never jumps, but for `ros_now` and stamps.
+    Times are [s] on a clock of this machine that never jumps, but for `ros_now` and stamps. An OptionError for what is
+    no name in ROS, or no output.
     """
 
-    def __init__(self, options: OutputOptions) -> None:
-        self._options = options
+    def __init__(self, options: OutputOptions, namespace: str = "/kinecast") -> None:
+        for name in filter(None, (namespace, options.planning_scene)):
+            if not re.fullmatch(r"(/[A-Za-z][A-Za-z0-9_]*)+", name):
+                raise OptionError(f"{name!r} is no ROS name: expected /letters/and_digits")
+        self._outputs = options.outputs.split(",")
+        if unknown := set(self._outputs) - set(OUTPUTS.split(",")):
+            raise OptionError(f"output {', '.join(sorted(unknown))}: expected some of {OUTPUTS}")
+        self._namespace, self._scene_topic = namespace, options.planning_scene or f"{namespace}/planning_scene"
         self._objects = CollisionObjects(options.parts, options.thickness)
         self._shown: dict[tuple[str, str], tuple[str, float]] = {}  # coordinate frame and expiry of each person
         self._tokens: dict[tuple[str, str], str] = {}
@@ -82,11 +78,11 @@ class PredictionPublisher:
     @property
     def topics(self) -> dict[str, str]:
         """Those that are there from the beginning, with their types; a person's own come with the person."""
-        return {self._topic(each): _TYPES[each] for each in self._options.outputs if each in _TYPES}
+        return {self._topic(each): _TYPES[each] for each in self._outputs if each in _TYPES}
 
     def tell(self, publication: Publication, now: float, ros_now: float) -> Iterator[Posting]:
         """Messages of a prediction; what it rests on has been acquired by `now`, on `Publication.acquired`'s clock."""
-        outputs, prediction = self._options.outputs, publication.prediction
+        outputs, prediction = self._outputs, publication.prediction
         token = self._token(publication.key)
         stamp = prediction.stamp
         if abs(stamp - ros_now) > SAME_CLOCK:
@@ -115,7 +111,7 @@ class PredictionPublisher:
         for key, (frame, expires) in list(self._shown.items()):
             if expires <= now:
                 del self._shown[key]
-                if "markers" in self._options.outputs:
+                if "markers" in self._outputs:
                     common = {"header": {"frame_id": frame}, "ns": "/".join(key), "action": DELETE}
                     yield self._posting("markers", {"markers": [common | {"id": id_} for id_ in MARKERS]})
         yield from self._scene(self._objects.remove(now))
@@ -129,9 +125,7 @@ class PredictionPublisher:
         return Posting(self._topic(output), _TYPES[output], fields)
 
     def _topic(self, name: str) -> str:
-        if name == "planning_scene" and self._options.planning_scene:
-            return self._options.planning_scene
-        return f"{self._options.namespace}/{name}"
+        return self._scene_topic if name == "planning_scene" else f"{self._namespace}/{name}"
 
     def _token(self, key: tuple[str, str]) -> str:
         """A person's name as part of a topic; "" where there have been too many persons."""
@@ -190,9 +184,10 @@ def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
     prediction = publication.prediction
     colour = colour_of(prediction.status)
     text, place = words_of(publication)
+    lines = {"type": LINE_LIST, "pose": pose({})}
     drawn = (
-        _lines([arms_of(publication.frame)], SEEN, [1.0], THICK),
-        _lines(prediction.mean, colour, fading(len(prediction.mean)), THIN),
+        lines | {"scale": {"x": THICK}} | limb_lines(arms_of(publication.frame)[None], SEEN, [1.0]),
+        lines | {"scale": {"x": THIN}} | limb_lines(prediction.mean, colour, fading(len(prediction.mean))),
         {"type": TEXT, "text": text, "scale": {"z": HIGH}, "color": rgba(colour, 1.0), "pose": pose(place)},
     )
     common = {"header": _header(publication, stamp), "ns": "/".join(publication.key), "lifetime": lifetime}
@@ -201,12 +196,3 @@ def _markers(publication: Publication, stamp: float, lifetime: float) -> Fields:
 
 def _header(publication: Publication, stamp: float) -> Fields:
     return {"stamp": stamp, "frame_id": publication.frame.frame_id}
-
-
-def _lines(poses: Iterable[np.ndarray], colour: Colour, opacities: Sequence[float], width: float) -> Fields:
-    ends, colours = list[Fields](), list[Fields]()
-    for arms, opacity in zip(poses, opacities, strict=True):
-        ends += limb_ends(arms)
-        colours += [rgba(colour, opacity)] * (len(ends) - len(colours))
-    common = {"type": LINE_LIST, "color": rgba(colour, 1.0), "scale": {"x": width}, "pose": pose({})}
-    return common | {"points": ends, "colors": colours}

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from kinecast.body.skeleton import ARM_JOINTS, JOINTS, SKELETONS
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply
 from kinecast.live.message import MOST_JOINTS, MessageError, SkeletonMessage, skeleton_frame
+from kinecast.live.sender_guard import SenderOptions
 from kinecast.ros.messages import Messages
 from kinecast.ros.ros4hri import MOST_PERSONS, BodyFrames, from_joint_state
 from kinecast.ros.tf import UNSEEN, Position, TransformTree, point, seconds
@@ -18,7 +21,6 @@ from kinecast.types import SkeletonFrame
 TF_TYPE = "tf2_msgs/TFMessage"
 POSES, MARKERS, JOINT_STATE = "geometry_msgs/PoseArray", "visualization_msgs/MarkerArray", "sensor_msgs/JointState"
 INPUTS = (TF_TYPE, POSES, MARKERS, JOINT_STATE, "zed_interfaces/ObjectsStamped", "zed_msgs/ObjectsStamped")
-TALLEST = 2.5  # [m]
 CUBE, SPHERE, SPHERE_LIST, POINTS = 1, 2, 7, 8  # types of visualization_msgs/Marker that stand for joints
 DELETE, DELETEALL = 2, 3
 
@@ -37,26 +39,27 @@ _ZED_FORMATS = {0: _ZED_18, 1: _KNOWN["ZED 34"], 2: _ZED_38}
 
 
 @dataclass(frozen=True)
-class InputOptions:
-    """What messages do not say themselves."""
+class InputOptions(SenderOptions):
+    """What messages do not say themselves, and their type (`input_type`)."""
 
-    joints: str = (
-        ""  # order in PoseArray, and in MarkerArray where texts do not name them: a skeleton, or names with commas
-    )
+    type: str = ""
+    joints: str = ""
+    """Order in PoseArray, and in MarkerArray where texts do not name them: a skeleton, or names with commas."""
     person: str = "0"  # of a PoseArray
     frame: str = ""  # that positions are carried into by TF; "" leaves them as they come
-    height: float = 1.65  # of the person whose joint states are read [m]
-
-    def __post_init__(self) -> None:
-        if not 0.5 <= self.height <= TALLEST:
-            raise OptionError(f"height {self.height:g} m is outside 0.5..{TALLEST} m")
+    height: Annotated[float, Meta(ge=0.5, le=2.5)] = 1.65  # of the person whose joint states are read [m]
 
 
-def input_type(text: str) -> str:
+def input_type(topic: str, text: str) -> str:
     """`package/Type` of what was written: `PoseArray`, `geometry_msgs/PoseArray`, `geometry_msgs/msg/PoseArray`, `TF`.
 
-    An OptionError where skeletons are not read from it.
+    An OptionError where skeletons are not read from it, or it is not told of a topic that is not TF's.
     """
+    if not topic.startswith("/"):
+        raise OptionError(f"{topic!r}: a topic such as /skeletons is expected")
+    text = text or ("TF" if topic in ("/tf", "/tf_static") else "")
+    if not text:
+        raise OptionError(f"{topic}: say of which type the messages are, such as type=PoseArray")
     plain = "TFMessage" if text.upper() == "TF" else text.replace("/msg/", "/")
     for type_ in INPUTS:
         if plain in (type_, type_.rpartition("/")[2]):
@@ -76,10 +79,11 @@ class SkeletonSubscriber:
         self._type = type_
         self._options = options
         self._order = _joint_order(options.joints) if options.joints else []
+        self._within = options.frame.lstrip("/")
         self._tree = TransformTree()
-        self._bodies = BodyFrames(self._tree, options.frame)
+        self._bodies = BodyFrames(self._tree, self._within)
         self.topics = {topic: type_}
-        if options.frame or type_ in (TF_TYPE, JOINT_STATE):
+        if self._within or type_ in (TF_TYPE, JOINT_STATE):
             self.topics |= {"/tf": TF_TYPE, "/tf_static": TF_TYPE}
 
     def read(self, messages: Messages, topic: str, content: bytes) -> Iterator[SkeletonFrame | MessageError]:
@@ -89,7 +93,7 @@ class SkeletonSubscriber:
         except MessageError as problem:
             yield problem
             return
-        within = self._options.frame
+        within = self._within
         for each in found:
             try:
                 frame = skeleton_frame(each)
@@ -114,7 +118,7 @@ class SkeletonSubscriber:
         if type_ == MARKERS:
             return _from_markers(message, self._order)
         if type_ == JOINT_STATE:
-            return from_joint_state(message, self._tree, options.frame, options.height)
+            return from_joint_state(message, self._tree, self._within, options.height)
         return _from_zed(message)
 
 

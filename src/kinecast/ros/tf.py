@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.geometry.transforms import from_quaternion, inverse, transform
-from kinecast.live.message import FARTHEST, LONGEST_NAME, MessageError
+from kinecast.live.message import FARTHEST, MessageError, name_in
 
 MOST_FRAMES = 1024
 DEEPEST = 64  # frames between one and the root of its tree
@@ -62,7 +62,8 @@ class TransformTree:
         many frames; those before it are taken.
         """
         for each in message.transforms:
-            child, parent = _name(each.child_frame_id), _name(each.header.frame_id)
+            names = each.child_frame_id, each.header.frame_id
+            child, parent = (name_in("frame", name.lstrip("/")) for name in names)
             stamp = seconds(each.header.stamp)
             known = self._transforms.get(child)
             if known is None and len(self._transforms) >= MOST_FRAMES:
@@ -98,13 +99,6 @@ class TransformTree:
                 raise MessageError(f"more than {DEEPEST} coordinate frames above one another, or a circle")
             chain.append(self._transforms[chain[-1]].parent)
         return chain
-
-
-def _name(text: str) -> str:
-    name = text.lstrip("/")
-    if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
-        raise MessageError(f"a frame's name has {len(name)} characters; 1 to {LONGEST_NAME} printable ones are taken")
-    return name
 
 
 def _matrix(message: Any, child: str) -> Matrix:

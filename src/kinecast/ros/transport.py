@@ -93,7 +93,7 @@ class RosSource:
             self.feed.refuse(f"{topic}: {type(error).__name__}: {str(error)[:200]}")
 
 
-class RosSink(BackgroundWriter[Publication]):
+class RosSink(BackgroundWriter):
     """Predictions on topics; what was drawn or put into a scene is deleted once it expires. It closes its transport."""
 
     def __init__(self, address: str, publisher: PredictionPublisher, transport: Transport, room: int) -> None:
@@ -102,10 +102,6 @@ class RosSink(BackgroundWriter[Publication]):
             transport.messages.prepare(type_)
             transport.advertise(topic, type_)
         super().__init__(address, room, "sent")
-
-    def publish(self, publication: Publication) -> None:
-        """See kinecast.live.sinks.Sink."""
-        self.put(publication, publication.acquired)
 
     def write(self, publication: Publication) -> None:
         self._send(self._publisher.tell(publication, time.monotonic(), self._transport.now()))

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import cv2
 import numpy as np
@@ -36,6 +37,7 @@ from kinecast.errors import ModelError, OptionError
 from kinecast.geometry.transforms import apply, inverse
 from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Mailbox
+from kinecast.live.settings import read_settings
 from kinecast.types import SkeletonFrame
 
 MODEL = Path(__file__).resolve().parents[3] / "src" / "kinecast" / "data" / "models" / "zero_velocity.npz"
@@ -428,21 +430,21 @@ def test_a_camera_or_recording_that_is_not_there_is_named(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"model": "m", "size": "big"}, "size 'big', expected a size such as 848x480"),
-        ({"model": "m", "rate": "0"}, "rate '0' is outside 1..300"),
-        ({"model": "m", "rate": "29.7"}, "rate '29.7' is no whole number"),
-        ({"model": "m", "tilt": "nan"}, "tilt 'nan' is outside -90..90"),
-        ({"model": "m", "height": "high"}, "height 'high' is no number"),
+        ({"model": "m", "size": "big"}, "size 'big', expected a size such as 640x480"),
+        ({"model": "m", "rate": "0"}, "rate '0', expected a whole number in 1..300"),
+        ({"model": "m", "rate": "29.7"}, "rate '29.7', expected a whole number in 1..300"),
+        ({"model": "m", "tilt": "nan"}, "tilt 'nan', expected -90..90"),
+        ({"model": "m", "height": "high"}, "height 'high', expected -10..10"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings: dict[str, str], words: str) -> None:
     with pytest.raises(OptionError) as caught:
-        RealSenseOptions.parse(settings, "realsense:")
+        read_settings(RealSenseOptions, urlencode(settings), "realsense:")
     assert words in str(caught.value)
 
 
 def test_settings_are_read() -> None:
     names = ("model", "detector", "size", "rate", "tilt", "height")
     settings = dict(zip(names, ("a.onnx", "yolox.onnx", "640x360", "15", "20", "2"), strict=True))
-    wanted = RealSenseOptions(Path("a.onnx"), Path("yolox.onnx"), (640, 360), 15, 20.0, 2.0)
-    assert RealSenseOptions.parse(settings, "realsense:") == wanted
+    wanted = RealSenseOptions(Path("a.onnx"), Path("yolox.onnx"), "640x360", 15, 20.0, 2.0)
+    assert read_settings(RealSenseOptions, urlencode(settings), "realsense:") == wanted

@@ -39,7 +39,7 @@ def test_the_terminal_shows_sources_sinks_and_statuses(monkeypatch: pytest.Monke
     monkeypatch.setattr(command, "CONSOLE", Console(file=screen, force_terminal=True, width=160))
     mailbox = Mailbox()
     camera, silent = mailbox.feed("ws://camera"), mailbox.feed("udp://silent")
-    live = Live(mailbox, lambda: Predictor(read_shipped("zero_velocity")[1]), [Counted()])
+    live = Live(mailbox, {camera: Predictor(read_shipped("zero_velocity")[1])}, [Counted()])
     for k in range(3):
         camera.put(SkeletonFrame(k / 30, ARM_JOINTS, np.zeros((6, 3))), 0.0)
     camera.refuse("half a message")

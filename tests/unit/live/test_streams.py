@@ -10,7 +10,8 @@ from kinecast.errors import OptionError
 from kinecast.live.clock import CONFIRM, SourceClock
 from kinecast.live.mailbox import Mailbox
 from kinecast.live.network import Address
-from kinecast.live.sources import RecordedSource
+from kinecast.live.settings import read_settings
+from kinecast.live.sources import PlaybackOptions, RecordedSource
 from kinecast.types import SkeletonFrame
 
 
@@ -73,7 +74,7 @@ def test_the_newest_frame_of_each_person_waits_and_sources_take_turns() -> None:
 def test_a_recording_is_played_to_its_end_and_again() -> None:
     mailbox = Mailbox()
     feed = mailbox.feed("recording")
-    source = RecordedSource("recording", feed, [frame(k / 10) for k in range(10)], speed=20.0, repeat=2)
+    source = RecordedSource("recording", feed, [frame(k / 10) for k in range(10)], PlaybackOptions(20.0, 2))
     source.start()
     stamps, acquired = [], []
     while not mailbox.finished:
@@ -87,10 +88,26 @@ def test_a_recording_is_played_to_its_end_and_again() -> None:
     np.testing.assert_allclose(np.diff(acquired), np.diff(stamps) / 20, atol=1e-6)
 
 
-@pytest.mark.parametrize(("speed", "repeat"), [(0.0, 1), (float("nan"), 1), (1.0, 0)])
-def test_a_pace_that_cannot_be_is_refused(speed: float, repeat: int) -> None:
-    with pytest.raises(OptionError, match=r"take: (speed|repeat)"):
-        RecordedSource("take", Mailbox().feed("take"), [frame(0.0)], speed, repeat)
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("speed=0", r"take: speed '0', expected 0\.01\.\.1000"),
+        ("speed=nan&repeat=2", r"take: speed 'nan', expected 0\.01\.\.1000"),
+        ("speed=fast", r"take: speed 'fast', expected 0\.01\.\.1000"),
+        ("repeat=0", r"take: repeat '0', expected a whole number in 1\.\.100000"),
+        ("repeat=1.5", "take: repeat '1.5', expected a whole number"),
+        ("pace=1", "take: pace unknown; allowed are speed, repeat"),
+        ("pace", "take: pace unknown; allowed are speed, repeat"),
+        ("&", "take: & unknown"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(query: str, words: str) -> None:
+    with pytest.raises(OptionError, match=words):
+        read_settings(PlaybackOptions, query, "take")
+
+
+def test_settings_are_read_and_empty_ones_are_not_given() -> None:
+    assert read_settings(PlaybackOptions, "repeat=3&speed=", "take") == PlaybackOptions(1.0, 3)
 
 
 def test_without_a_host_only_this_machine_is_heard() -> None:

@@ -12,23 +12,21 @@ from rosbags.highlevel import AnyReader
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import DatasetError, OptionError
-from kinecast.ros.bags import BagWriter, read_frames, skeleton_topics
-from kinecast.ros.messages import Distribution
-from kinecast.ros.publisher import OutputOptions, PredictionPublisher
-from kinecast.ros.subscriber import InputOptions
+from kinecast.ros.bags import BagInputOptions, BagOutputOptions, BagWriter, read_frames
+from kinecast.ros.publisher import PredictionPublisher
 from kinecast.ros.transport import RosSink
 
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
 NOW = 1_760_000_000.0
 KINDS = [
-    ("take.bag", Distribution.JAZZY, ""),
-    ("humble", Distribution.HUMBLE, "sqlite3"),
-    ("jazzy", Distribution.JAZZY, "mcap"),
+    ("take.bag", BagOutputOptions()),
+    ("humble", BagOutputOptions(distro="humble", storage="sqlite3")),
+    ("jazzy", BagOutputOptions()),
 ]
 
 
-def write_poses(path: Path, distribution: Distribution, storage: str, count: int = 20) -> None:
-    writer = BagWriter(path, distribution, storage)
+def write_poses(path: Path, options: BagOutputOptions, count: int = 20) -> None:
+    writer = BagWriter(path, options)
     for k in range(count):
         stamp = NOW + k / 32
         poses = [{"position": dict(zip("xyz", xyz, strict=True))} for xyz in (REST + k / 1024).tolist()]
@@ -39,28 +37,27 @@ def write_poses(path: Path, distribution: Distribution, storage: str, count: int
     writer.close()
 
 
-@pytest.mark.parametrize(("name", "distribution", "storage"), KINDS)
-def test_what_is_written_is_read(tmp_path: Path, name: str, distribution: Distribution, storage: str) -> None:
+@pytest.mark.parametrize(("name", "options"), KINDS)
+def test_what_is_written_is_read(tmp_path: Path, name: str, options: BagOutputOptions) -> None:
     path = tmp_path / name
-    write_poses(path, distribution, storage)
-    assert skeleton_topics(path) == {"/arms": "geometry_msgs/PoseArray"}
-    frames, wrong = read_frames(path, "", InputOptions(joints=",".join(ARM_JOINTS)))
+    write_poses(path, options)
+    frames, wrong = read_frames(path, BagInputOptions(joints=",".join(ARM_JOINTS)))
     assert wrong == 1
     assert [frame.stamp for frame in frames] == [NOW + k / 32 for k in range(20)]
     for k, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.positions, REST + k / 1024)
     with pytest.raises(OptionError, match="a bag is never replaced"):
-        BagWriter(path, distribution, storage)
+        BagWriter(path, options)
     with pytest.raises(DatasetError, match=r"those that may have some: /arms \(geometry_msgs/PoseArray\)"):
-        read_frames(path, "/legs", InputOptions())
+        read_frames(path, BagInputOptions(topic="/legs"))
 
 
-@pytest.mark.parametrize(("name", "distribution", "storage"), KINDS)
+@pytest.mark.parametrize(("name", "options"), KINDS)
 def test_predictions_in_a_bag_are_read_by_its_own_definitions(
-    tmp_path: Path, publish: Any, name: str, distribution: Distribution, storage: str
+    tmp_path: Path, publish: Any, name: str, options: BagOutputOptions
 ) -> None:
     path = tmp_path / name
-    sink = RosSink("bag", PredictionPublisher(OutputOptions()), BagWriter(path, distribution, storage), 100)
+    sink = RosSink("bag", PredictionPublisher(options), BagWriter(path, options), 100)
     for k in range(8):
         sink.publish(publish(REST, k / 30))
     sink.close()
@@ -75,9 +72,9 @@ def test_predictions_in_a_bag_are_read_by_its_own_definitions(
     assert [each.operation for each in last] == [1] * 12  # closing takes back what was put into the scene
 
 
-@pytest.mark.parametrize(("name", "distribution", "storage"), KINDS)
-def test_damaged_bags_are_data_errors(tmp_path: Path, name: str, distribution: Distribution, storage: str) -> None:
-    write_poses(tmp_path / name, distribution, storage)
+@pytest.mark.parametrize(("name", "options"), KINDS)
+def test_damaged_bags_are_data_errors(tmp_path: Path, name: str, options: BagOutputOptions) -> None:
+    write_poses(tmp_path / name, options)
     rng = np.random.default_rng(2)
     refused = 0
     for turn in range(25):
@@ -89,7 +86,7 @@ def test_damaged_bags_are_data_errors(tmp_path: Path, name: str, distribution: D
             content[place] = int(rng.integers(256))
         file.write_bytes(content[: rng.integers(1, len(content))] if turn % 2 else content)
         try:
-            read_frames(path, "", InputOptions(joints=",".join(ARM_JOINTS)))
+            read_frames(path, BagInputOptions(joints=",".join(ARM_JOINTS)))
         except DatasetError:
             refused += 1
     assert refused > 5
@@ -99,14 +96,12 @@ def test_what_is_no_bag_is_said_to_be_none(tmp_path: Path) -> None:
     for name in ("a.bag", "b.db3", "c.mcap"):
         (tmp_path / name).write_bytes(b"nothing")
         with pytest.raises(DatasetError, match="no bag that can be read"):
-            read_frames(tmp_path / name, "", InputOptions())
+            read_frames(tmp_path / name, BagInputOptions())
     with pytest.raises(DatasetError, match="no bag that can be read"):
-        read_frames(tmp_path / "nowhere", "", InputOptions())
+        read_frames(tmp_path / "nowhere", BagInputOptions())
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 99}")
     with pytest.raises(DatasetError, match="no bag that can be read"):
-        read_frames(tmp_path / "d", "", InputOptions())
+        read_frames(tmp_path / "d", BagInputOptions())
     with pytest.raises(OptionError, match="there is no folder"):
-        BagWriter(tmp_path / "a.bag" / "b.bag", Distribution.JAZZY, "")
-    with pytest.raises(OptionError, match="storage 'tape'"):
-        BagWriter(tmp_path / "e", Distribution.JAZZY, "tape")
+        BagWriter(tmp_path / "a.bag" / "b.bag", BagOutputOptions())

@@ -11,11 +11,12 @@ import pytest
 
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import from_quaternion
+from kinecast.live.settings import read_settings
 from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.publisher import OutputOptions, Posting, PredictionPublisher
 from kinecast.types import LIMBS, Status
 
-SCENE_ONLY = ("planning_scene",)
+SCENE_ONLY = "planning_scene"
 ADD, REMOVE, MOVE = 0, 1, 3
 ROS_NOW = 1_760_000_000.0
 RAISED = np.array([0.0, 0.0, 0.001])
@@ -171,13 +172,13 @@ def test_a_distribution_says_what_the_prediction_says(publish: Any, distribution
 
 def test_stamps_of_the_ros_clock_go_out_as_they_came(publish: Any) -> None:
     told = decoded(
-        PredictionPublisher(OutputOptions(outputs=("prediction",))).tell(publish(_rest(), ROS_NOW - 2.0), 5.0, ROS_NOW)
+        PredictionPublisher(OutputOptions(outputs="prediction")).tell(publish(_rest(), ROS_NOW - 2.0), 5.0, ROS_NOW)
     )
     assert told["/kinecast/prediction"].header.stamp.sec == ROS_NOW - 2
 
 
 def test_markers_fade_and_are_deleted(publish: Any) -> None:
-    publisher = PredictionPublisher(OutputOptions(namespace="/cell/arms", outputs=("markers",)))
+    publisher = PredictionPublisher(OutputOptions(outputs="markers"), "/cell/arms")
     (message,) = decoded(publisher.tell(publish(_rest(), 0.0, "a"), 0.0, ROS_NOW)).values()
     seen, mean, words = message.markers
     assert (len(seen.points), len(mean.points), len(mean.colors)) == (8, 15 * 8, 15 * 8)
@@ -193,7 +194,7 @@ def test_markers_fade_and_are_deleted(publish: Any) -> None:
 
 
 def test_names_of_persons_become_topics_that_differ(publish: Any) -> None:
-    publisher = PredictionPublisher(OutputOptions(outputs=("poses",)))
+    publisher = PredictionPublisher(OutputOptions(outputs="poses"))
     topics = [
         next(iter(publisher.tell(publish(_rest(), 0.0, person), 0.0, ROS_NOW))).topic
         for person in ("7", "a b", "a/b", "__", "a b")
@@ -208,11 +209,11 @@ def test_names_of_persons_become_topics_that_differ(publish: Any) -> None:
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda: OutputOptions(namespace="kinecast"), "no ROS name"),
-        (lambda: OutputOptions(planning_scene="/a-b"), "no ROS name"),
-        (lambda: OutputOptions(outputs=("tubes",)), "tubes: expected some of"),
-        (lambda: OutputOptions(parts=0), "parts 0 is outside 1..8"),
-        (lambda: OutputOptions(thickness=2.0), "thickness 2 m is outside"),
+        (lambda: PredictionPublisher(OutputOptions(), "kinecast"), "no ROS name"),
+        (lambda: PredictionPublisher(OutputOptions(planning_scene="/a-b")), "no ROS name"),
+        (lambda: PredictionPublisher(OutputOptions(outputs="tubes")), "tubes: expected some of"),
+        (lambda: read_settings(OutputOptions, "parts=0", "ros1:"), r"parts '0', expected a whole number in 1\.\.8"),
+        (lambda: read_settings(OutputOptions, "thickness=2", "ros1:"), r"thickness '2', expected 0\.\.0\.5"),
     ],
 )
 def test_options_name_what_is_wrong(make: Any, problem: str) -> None:

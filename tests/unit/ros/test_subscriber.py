@@ -11,6 +11,7 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import rotation_z, to_quaternion
 from kinecast.live.message import MessageError
+from kinecast.live.settings import read_settings
 from kinecast.ros.messages import Distribution, messages_of
 from kinecast.ros.ros4hri import body_joints
 from kinecast.ros.subscriber import INPUTS, InputOptions, SkeletonSubscriber, input_type
@@ -224,7 +225,7 @@ def test_positions_are_carried_into_the_frame_that_was_asked_for() -> None:
     [
         ({"a": ("b", (0, 0, 0)), "b": ("a", (0, 0, 0))}, "or a circle"),
         ({"a": ("b", (np.nan, 0, 0))}, "the transform of 'a'"),
-        ({"": ("b", (0, 0, 0))}, "a frame's name has 0 characters"),
+        ({"": ("b", (0, 0, 0))}, "frame '': 1 to 64 printable characters"),
         ({f"f{k}": ("b", (0, 0, 0)) for k in range(1025)}, "more than 1024 coordinate frames"),
     ],
 )
@@ -252,13 +253,13 @@ def test_no_message_raises(random_fields: Any) -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: input_type("sensor_msgs/Image"), "skeletons are read from"),
+        (lambda: input_type("/p", "sensor_msgs/Image"), "skeletons are read from"),
         (lambda: SkeletonSubscriber("/p", "geometry_msgs/PoseArray", InputOptions()), "joints=COCO 17"),
         (
             lambda: SkeletonSubscriber("/p", "geometry_msgs/PoseArray", InputOptions(joints="COCO 18")),
             "expected a skeleton",
         ),
-        (lambda: InputOptions(height=20.0), "height 20 m is outside"),
+        (lambda: read_settings(InputOptions, "height=20", "dds:/j"), r"height '20', expected 0\.5\.\.2\.5"),
     ],
 )
 def test_options_name_what_is_wrong(make: Any, words: str) -> None:
@@ -267,6 +268,7 @@ def test_options_name_what_is_wrong(make: Any, words: str) -> None:
 
 
 def test_types_may_be_written_in_short() -> None:
-    assert input_type("PoseArray") == input_type("geometry_msgs/msg/PoseArray") == "geometry_msgs/PoseArray"
-    assert input_type("tf") == input_type("TFMessage") == "tf2_msgs/TFMessage"
-    assert input_type("ObjectsStamped") == "zed_interfaces/ObjectsStamped"
+    for text in ("PoseArray", "geometry_msgs/PoseArray", "geometry_msgs/msg/PoseArray"):
+        assert input_type("/p", text) == "geometry_msgs/PoseArray"
+    assert input_type("/tf", "") == input_type("/a", "tf") == input_type("/a", "TFMessage") == "tf2_msgs/TFMessage"
+    assert input_type("/z", "ObjectsStamped") == "zed_interfaces/ObjectsStamped"

@@ -20,7 +20,7 @@ from kinecast.ros.transport import Callback, RosSink, RosSource, Transport
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
 LONG = 60.0
 """Of a wait for another thread [s]."""
-ONE = OutputOptions(outputs=("prediction",))
+ONE = OutputOptions(outputs="prediction")
 
 
 class Wire(Transport):
