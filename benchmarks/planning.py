@@ -84,12 +84,12 @@ def problem(rng: np.random.Generator) -> Problem:
     share = rng.uniform(0.15, 0.85, (400, 1))
     between = arm.capsules(ends[0] + share * (ends[1] - ends[0]))
     capsules: list[Capsule] = []
-    for start, end in zip(between.start, between.end, strict=True):
+    for start, end in zip(between[..., :3], between[..., 3:6], strict=True):
         link = rng.integers(len(between.radius))
         centre = start[link] + rng.random() * (end[link] - start[link]) + rng.normal(0.0, 0.05, 3)
         half = 0.5 * rng.uniform(0.1, 0.5) * _direction(rng)
         capsule = Capsule(centre - half, centre + half, rng.uniform(*RADIUS))
-        if (capsule.segment_distance(links.start, links.end) - links.radius).min() > FREE:
+        if (capsule.segment_distance(links[..., :3], links[..., 3:6]) - links[..., 6]).min() > FREE:
             capsules.append(capsule)
         if len(capsules) == CAPSULES:
             return Problem(ends[0], ends[1], Scene((TABLE, *capsules)))

@@ -7,7 +7,7 @@ cell watched by fused depth cameras. `certified` takes everybody to walk towards
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -119,7 +119,7 @@ def standing_at(x: float, y: float) -> Float[np.ndarray, "4 4"]:
 CELLS: dict[str, Callable[[], Cell]] = {
     "lab": lambda: Cell(_cubes(0.32, 0.12), person=standing_at(1.15, 0.0), separation=SeparationOptions(), delay=0.04),
     "camera": Cell,
-    "certified": lambda: Cell(separation=replace(CAMERA, least_speed=1.6)),
+    "certified": lambda: Cell(separation=CAMERA._replace(least_speed=1.6)),
 }
 """Cells by name; `certified` takes v_h to be 1.6 m/s (ISO 13855:2010, clause 5) whatever is measured."""
 

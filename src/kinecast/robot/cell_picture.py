@@ -54,13 +54,10 @@ def draw_cell(axes: Axes, arm: UR5, cell: Cell, scene: SceneSnapshot) -> None:
             Polygon(VIEW.page(cube.place + cube.size * SQUARE), fc="white", ec=colour, lw=1.4, alpha=0.8, zorder=1.5)
         )
         _cube(axes, scene.cubes[cube.name], cube.size, colour)
-    links, skin, shirt = arm.capsules(scene.q[None]), hex_of(SKIN), hex_of(SHIRT)
-    _capsules(axes, [arm.pedestal, *zip(links.start[0], links.end[0], links.radius, strict=True)],
-              [ARM] * (len(links.radius) - 2) + [GRIPPER] * 3)  # fmt: skip
+    links, colours = arm.capsules(scene.q), [hex_of(SKIN if bare else SHIRT) for bare in SKIN_PARTS]
+    _capsules(axes, np.concatenate([arm.pedestal[None], links]), [ARM] * (len(links) - 2) + [GRIPPER] * 3)
     for joints, positions in scene.people:
-        body = body_capsules(joints, positions, TRUE_BODY)
-        _capsules(axes, zip(body.start, body.end, body.radius, strict=True),
-                  [skin if bare else shirt for bare in SKIN_PARTS])  # fmt: skip
+        _capsules(axes, body_capsules(joints, positions, TRUE_BODY), colours)
     for hand in range(2):
         _region(axes, scene.region[:, :, hand].astype(np.float64))
     _arrow(axes, scene)
@@ -79,13 +76,14 @@ def _cube(axes: Axes, center: Float[np.ndarray, "3"], size: float, colour: str) 
         axes.add_patch(Polygon(VIEW.page(corners), fc=shade, ec="#00000055", lw=0.5, zorder=_height(center)))
 
 
-def _capsules(axes: Axes, capsules: Iterable[tuple[np.ndarray, np.ndarray, float]], colours: Iterable[str]) -> None:
-    """Start, end and radius of each [m], as thick round lines with an edge."""
+def _capsules(axes: Axes, capsules: Float[np.ndarray, "K 7"], colours: Iterable[str]) -> None:
+    """As thick round lines with an edge."""
     points = float(axes.get_window_extent().width) / (WIDE[1] - WIDE[0]) * 72 / axes.figure.dpi  # per metre
-    for (start, end, radius), colour in zip(capsules, colours, strict=True):
-        if not np.isfinite([start, end]).all():
+    for row, colour in zip(capsules, colours, strict=True):
+        if not np.isfinite(row).all():
             continue
-        flat, width = VIEW.page(np.stack([start, end + 1e-4])), 1.7 * float(radius) * points
+        start, end = row[:3], row[3:6]
+        flat, width = VIEW.page(np.stack([start, end + 1e-4])), 1.7 * row[6] * points
         effects = [Stroke(linewidth=width + 1.6, foreground=EDGE), Normal()]
         axes.plot(*flat.T, color=colour, lw=width, solid_capstyle="round", path_effects=effects,
                   zorder=_height((start + end) / 2))  # fmt: skip

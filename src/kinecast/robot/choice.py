@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.capsules import Capsules
+from kinecast.robot.body import held
 from kinecast.robot.cell import Cell
 from kinecast.robot.chomp import People
 from kinecast.robot.execution import within_limits
@@ -90,7 +90,7 @@ class Request:
     q: Float[np.ndarray, "6"]
     start_time: float
     wait: float = 0.0
-    motions: Capsules | None = None
+    motions: Float[np.ndarray, "S N K 7"] | None = None
     present: Float[np.ndarray, "W 6"] | None = None
     why: str = ""
 
@@ -175,8 +175,7 @@ class Chooser:
             return
         best, instants = ways[0], slice(round(FORESEEN / STEP) + 1)
         assert best.plan is not None
-        start, end, radius = request.motions
-        capsules = Capsules(start[:, instants], end[:, instants], radius).regions(LIKELY)
+        capsules = held(request.motions[:, instants], LIKELY)
         times = request.start_time - request.wait + STEP * np.arange(len(capsules))
         for plan in self.planner.bent(best.plan, People(times, capsules, self.cell.separation)):
             bent = self._new(best.option, plan, request)

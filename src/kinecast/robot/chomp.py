@@ -20,7 +20,7 @@ from numba import njit
 from kinecast.geometry.distances import point_distance
 from kinecast.geometry.shapes import Capsule
 from kinecast.geometry.transforms import lengths
-from kinecast.robot.capsules import interpolated
+from kinecast.robot.body import interpolated
 from kinecast.robot.collision import FIRST_LINK
 from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import minimum_jerk, rest_to_rest
@@ -91,12 +91,14 @@ class Chomp:
     def __init__(self, arm: UR5, obstacles: Float[np.ndarray, "O 17"]) -> None:
         self.arm = arm
         # The arm's own pedestal is in the way too, from the elbow on.
-        self._obstacles = np.concatenate([obstacles, Capsule(*arm.pedestal).row[None]])
-        start, end = np.split(arm.capsule_sites, 2)
-        counts = np.ceil(lengths(end - start) / (SPACING * arm.capsule_radius)).astype(int) + 1
+        self._obstacles = np.concatenate(
+            [obstacles, Capsule(arm.pedestal[:3], arm.pedestal[3:6], arm.pedestal[6]).row[None]]
+        )
+        start, end, radius = arm.links[:, :3], arm.links[:, 3:6], arm.links[:, 6]
+        counts = np.ceil(lengths(end - start) / (SPACING * radius)).astype(int) + 1
         self._sites = np.concatenate([np.linspace(*each) for each in zip(start, end, counts, strict=True)])
         link = np.repeat(np.arange(len(LINKS)), counts)
-        self._joint, self._radius = arm.capsule_joint[link], arm.capsule_radius[link]
+        self._joint, self._radius = arm.link_joint[link], radius[link]
         self._meets = link >= np.array([*[FIRST_LINK] * len(obstacles), LINKS.index("elbow")])[:, None]
 
     def optimise(

@@ -74,7 +74,7 @@ class CollisionChecker:
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
         coarse = np.linspace(trajectory.times[0], trajectory.times[-1], 2 * len(trajectory.times))
-        ends = np.concatenate(self.arm.capsules(trajectory.at(coarse)[0])[:2], axis=1)
+        ends = self.arm.capsules(trajectory.at(coarse)[0])[..., :6].reshape(len(coarse), -1, 3)
         way = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1) + 1e-4
         travelled = np.concatenate([[0.0], np.cumsum(way)])
         count = int(np.ceil(travelled[-1] / step)) + 1

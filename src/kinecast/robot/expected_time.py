@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.robot.capsules import Capsules
 from kinecast.robot.motions import STEP
-from kinecast.robot.separation import SeparationOptions, allowed_speed, closest_points
+from kinecast.robot.separation import Moving, SeparationOptions, compare
 from kinecast.robot.ur5 import UR5
 
 __all__ = ["RISE", "TravelTime", "travel_time"]
@@ -69,7 +68,7 @@ class TravelTime:
 def travel_time(
     arm: UR5,
     q: Float[np.ndarray, "W 6"],
-    motions: Capsules | None,
+    motions: Float[np.ndarray, "S N K 7"] | None,
     options: SeparationOptions,
     wait: float = 0.0,
 ) -> TravelTime:
@@ -78,7 +77,7 @@ def travel_time(
     Args:
         arm: its kinematics.
         q: (W, 6) configurations `STEP` apart at full speed [rad].
-        motions: of the people from now on, (S, N, K, 3) `STEP` apart; None: nobody is there.
+        motions: (S, N, K, 7) capsules of the people from now on, `STEP` apart; None: nobody is there.
         options: of monitoring.
         wait: from now until the path is begun [s].
 
@@ -86,31 +85,22 @@ def travel_time(
         Times from now to the last configuration. People whose motions end before are no longer there.
     """
     nominal = wait + STEP * (len(q) - 1)
-    if motions is None or len(motions.radius) == 0:
+    if motions is None:
         return TravelTime(nominal, np.array([nominal]))
-    o = options
-    monitored = (o.reaction, o.braking, o.least_speed, o.constant, o.across, AGE)
-    return TravelTime(nominal, np.sort(_roll_out(arm.capsules(q), motions, wait, monitored)))
+    return TravelTime(nominal, np.sort(_roll_out(arm.capsules(q), motions, wait, options)))
 
 
 @njit(cache=True)
 @no_type_check
-def _roll_out(arm, people, wait, monitored):
-    """(S,) times [s] of links (W, L, 3) beside capsules (S, N, K, 3)."""
-    end, count = len(arm.start) - 1.0, people.start.shape[1]
-    out = np.empty(len(people.start))
-    links = np.empty((len(arm.radius), 2, 3)), np.empty((len(arm.radius), 2, 3)), np.empty((len(arm.radius), 3))
-    limbs = (
-        np.empty((len(people.radius), 2, 3)),
-        np.empty((len(people.radius), 2, 3)),
-        np.empty((len(people.radius), 3)),
-    )
-    for s in range(len(out)):
+def _roll_out(arm, people, wait, options):
+    """(S,) times [s] of links (W, L, 7) beside capsules (S, N, K, 7)."""
+    end, count = len(arm) - 1.0, people.shape[1]
+    out = np.empty(len(people))
+    for s in range(len(people)):
         clock, rate, n = 0.0, 1.0, wait / STEP
         while clock < end and n < count - 1:
-            _at(arm.start, arm.end, arm.radius, clock, links)
-            _at(people.start[s], people.end[s], people.radius, n, limbs)
-            rate = min(_rate(links, limbs, monitored), rate + RISE * STEP)
+            allowed = compare(_at(arm, clock), _at(people[s], n), options, MEASURED, 0.0)[3]
+            rate = min(allowed, rate + RISE * STEP)
             if clock + rate >= end:
                 n += (end - clock) / rate
                 clock = end
@@ -123,64 +113,8 @@ def _roll_out(arm, people, wait, monitored):
 
 @njit(cache=True)
 @no_type_check
-def _at(start, end, radius, time, out):
-    """Writes where capsules (N, M, 3) are after so many steps: their ends (M, 2, 3) and these ends' ways in a step.
-
-    And (M, 3): their radii [m], and bounds of the speed of any point [m/s] and of its distance from the middle [m].
-    """
-    place, way, bounds = out
+def _at(capsules, time):
+    """Capsules (N, K, 7) after so many steps."""
     n = int(time)
-    for i in range(len(radius)):
-        fastest = length = 0.0
-        for side in range(2):
-            axis = end if side else start
-            squared = 0.0
-            for k in range(3):
-                way[i, side, k] = axis[n + 1, i, k] - axis[n, i, k]
-                place[i, side, k] = axis[n, i, k] + (time - n) * way[i, side, k]
-                squared += way[i, side, k] ** 2
-            fastest = max(fastest, squared)
-        for k in range(3):
-            length += (place[i, 1, k] - place[i, 0, k]) ** 2
-        bounds[i] = radius[i], math.sqrt(fastest) / STEP, radius[i] + 0.5 * math.sqrt(length)
-
-
-@njit(cache=True)
-@no_type_check
-def _rate(links, limbs, monitored):
-    """Share of its full speed that every pair allows the arm."""
-    reaction, braking, least, constant, across, age = monitored
-    arm, arm_way, arm_bounds = links
-    body, body_way, body_bounds = limbs
-    rate = 1.0
-    for i in range(len(arm)):
-        radius, fastest, reach = arm_bounds[i]
-        if fastest < 1e-2:
-            continue
-        stopping = fastest * (reaction + fastest / (2.0 * braking)) + constant + reach
-        for j in range(len(body)):
-            apart = 0.0
-            for k in range(3):
-                apart += (arm[i, 0, k] + arm[i, 1, k] - body[j, 0, k] - body[j, 1, k]) ** 2
-            approach = max(body_bounds[j, 1], least) * (age + reaction + fastest / braking)
-            far = stopping + approach + body_bounds[j, 2]  # what is farther cannot slow it down
-            if apart > 4.0 * far * far:
-                continue
-            s, t = closest_points(arm[i, 0], arm[i, 1], body[j, 0], body[j, 1])
-            distance = robot = human = speed = 0.0
-            for k in range(3):
-                gap = body[j, 0, k] + t * (body[j, 1, k] - body[j, 0, k])
-                gap -= arm[i, 0, k] + s * (arm[i, 1, k] - arm[i, 0, k])
-                velocity = ((1.0 - s) * arm_way[i, 0, k] + s * arm_way[i, 1, k]) / STEP
-                distance += gap * gap
-                speed += velocity * velocity
-                robot += gap * velocity
-                human -= gap * ((1.0 - t) * body_way[j, 0, k] + t * body_way[j, 1, k]) / STEP
-            distance = max(math.sqrt(distance), 1e-9)
-            robot /= distance
-            robot += across * math.sqrt(max(speed - robot * robot, 0.0))
-            if robot > 1e-6:
-                human = max(human / distance + MEASURED, least)
-                room = distance - radius - body_bounds[j, 0] - constant - human * (age + reaction)
-                rate = min(rate, allowed_speed(room, human, reaction, braking) / robot)
-    return rate
+    change = capsules[n + 1] - capsules[n]
+    return Moving(capsules[n] + (time - n) * change, change[:, :6] / STEP, np.full(len(change), AGE))

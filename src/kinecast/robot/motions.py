@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.robot.body import body_capsules
-from kinecast.robot.capsules import Capsules, interpolated
+from kinecast.robot.body import body_capsules, interpolated
 from kinecast.types import Prediction, Status
 
 __all__ = ["STEP", "PoseHistory", "arms_at_stamp", "is_trusted", "motions_of"]
@@ -130,18 +129,19 @@ def _alike(
     return moment, square[np.arange(len(pose)), moment] > 6 * NEW**2
 
 
-def motions_of(predictions: Sequence[Prediction], histories: Sequence[PoseHistory], now: float) -> Capsules:
+def motions_of(
+    predictions: Sequence[Prediction], histories: Sequence[PoseHistory], now: float
+) -> Float[np.ndarray, "S N K 7"]:
     """Possible motions of several people from now [s] on, one prediction and one past each.
 
     Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
 
     Returns:
-        Everybody's capsules in S samples at N instants, `STEP` apart: ends (S, N, K, 3).
+        Everybody's capsules in S samples at N instants, `STEP` apart.
     """
     rng = np.random.default_rng(round(1e3 * now))
-    arms = np.stack([_arms(*each, now, rng) for each in zip(predictions, histories, strict=True)], axis=2)
-    body, whole = body_capsules(ARM_JOINTS, arms), (*arms.shape[:2], -1, 3)
-    return Capsules(body.start.reshape(whole), body.end.reshape(whole), np.tile(body.radius, len(predictions)))
+    each = (_arms(prediction, history, now, rng) for prediction, history in zip(predictions, histories, strict=True))
+    return np.concatenate([body_capsules(ARM_JOINTS, arms) for arms in each], axis=2)
 
 
 def _arms(

@@ -119,7 +119,7 @@ def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.
         T = T_world_tool.copy()
         T[:3, :3] = rotation_z(quarter * np.pi / 2) @ T[:3, :3]
         rows = arm.inverse_kinematics(T)
-        rows = rows[arm.capsules(rows).start[:, LINKS.index("elbow"), 2] > T[2, 3] + ELBOW_ABOVE]
+        rows = rows[arm.capsules(rows)[:, LINKS.index("elbow"), 2] > T[2, 3] + ELBOW_ABOVE]
         if below:
             T[2, 3] -= below
             lower = arm.inverse_kinematics(T)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
-from kinecast.robot.body import TRUE_BODY, body_capsules
+from kinecast.robot.body import TRUE_BODY, body_capsules, interpolated
 from kinecast.robot.separation import Moving, SeparationOptions, moving, separation
 
 __all__ = ["Person", "PlayedPerson", "ReactivePerson"]
@@ -33,8 +32,6 @@ class PlayedPerson:
     positions: Float[np.ndarray, "N J 3"]  # in the cell [m]
 
     def __post_init__(self) -> None:
-        if len(self.stamps) == 0 or not np.all(np.diff(self.stamps) > 0):
-            raise OptionError(f"person {self.name!r}: stamps must rise, and there must be one")
         whole = self.positions.copy()
         for column in whole.reshape(len(whole), -1).T:
             seen = np.isfinite(column)
@@ -44,12 +41,7 @@ class PlayedPerson:
 
     def at(self, time: float) -> Float[np.ndarray, "J 3"]:
         """(J, 3) positions in the cell [m]."""
-        if len(self.stamps) == 1:
-            return self.positions[0]
-        after = int(np.clip(np.searchsorted(self.stamps, time, side="right"), 1, len(self.stamps) - 1))
-        before, end = self.stamps[after - 1], self.stamps[after]
-        share = min(max((time - before) / (end - before), 0.0), 1.0)
-        return np.asarray((1 - share) * self.positions[after - 1] + share * self.positions[after])
+        return interpolated(np.array([time]), self.stamps, self.positions)[0]
 
 
 class ReactivePerson:

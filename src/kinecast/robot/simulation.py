@@ -192,7 +192,7 @@ class Simulation:
             distance=min(each.distance for each in found),
             required=worst.required,
             margin=worst.margin,
-            arm_speed=float(np.linalg.norm(arm[3:], axis=-1).max()),
+            arm_speed=float(np.linalg.norm(arm.velocity.reshape(-1, 3), axis=-1).max()),
             measured=decision.distance,
             limit=decision.separation,
         )

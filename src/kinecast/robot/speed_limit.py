@@ -71,12 +71,8 @@ def speed_limit(
     """
     seen = people.seen(now)
     present, full = (
-        separation(
-            moving(arm.capsules(np.stack([q, q + MOMENT * qd])), MOMENT), seen[:5], monitoring, seen.age,
-            (seen.start_velocity_now, seen.end_velocity_now),
-        )
-        for qd in velocities
-    )  # fmt: skip
+        separation(moving(arm.capsules(np.stack([q, q + MOMENT * qd])), MOMENT), seen, monitoring) for qd in velocities
+    )
     # The arm may not yet move as its path says, or not as fast: both what it does and what it is about to do count.
     measured = min(full.scale, present.scale * speed if present.scale < 1.0 else 1.0)
     limits = [(1.0, LimitReason.NOTHING)]

@@ -27,7 +27,7 @@ def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest
     """∇U of the inner waypoints by finite differences of ∫ c |x'| dt, summed over body points."""
     monkeypatch.setattr("kinecast.robot.chomp.SLOWEST", 1e-9)
     chomp = among(arm, POST)
-    shapes = [*posts(POST).obstacles, Capsule(*arm.pedestal)]
+    shapes = [*posts(POST).obstacles, Capsule(arm.pedestal[:3], arm.pedestal[3:6], arm.pedestal[6])]
 
     def cost(q: np.ndarray) -> float:
         places = apply(arm.frames(q)[:, chomp._joint], chomp._sites)

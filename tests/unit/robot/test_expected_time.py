@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Chooser, Option, Request
 from kinecast.robot.execution import Executor
@@ -30,7 +29,7 @@ def people(x: float, y: float = 0.0, samples: int = 5) -> Prediction:
     return Prediction(0.0, times, drawn, drawn.mean(axis=0), np.zeros((15, 6, 3, 3)), ("",) * 6, "a", Status.OK)
 
 
-def motions(x: float, y: float = 0.0) -> Capsules:
+def motions(x: float, y: float = 0.0) -> np.ndarray:
     return motions_of([people(x, y)], [PoseHistory()], 0.0)
 
 
@@ -67,7 +66,7 @@ def test_errors_are_shares_of_the_time_with_nobody_there() -> None:
 
 def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     """Against the executor, slowed by the same monitoring at every control step."""
-    from kinecast.robot.separation import moving, separation
+    from kinecast.robot.separation import Moving, moving, separation
     from kinecast.robot.trajectory import Trajectory
 
     rows, body = way(arm), motions(1.17)
@@ -75,14 +74,13 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     executor, dt, steps = Executor(arm, 0.008, rows[0]), 0.008, 0
     trajectory = Trajectory(STEP * np.arange(len(rows)), rows)
     executor.follow(trajectory)
-    still = np.zeros_like(body.start[0, 0])
-    person = body.start[0, 0], body.end[0, 0], body.radius, still, still
+    person = Moving(body[0, 0], np.zeros((9, 6)), np.full(9, 0.1))
     rate = 1.0
     while not executor.done and steps < 2000:
         before = trajectory.duration - executor.remaining
         ahead = trajectory.at(before + np.array([0.0, 1e-3]))[0]
         links = moving(arm.capsules(ahead), 1e-3)
-        found = separation(links, person, CELL.separation, np.full(len(still), 0.1))
+        found = separation(links, person, CELL.separation)
         rate = min(found.scale, rate + 3.0 * dt)
         executor.step(rate)
         steps += 1

@@ -95,8 +95,8 @@ def test_beside_somebody_a_way_bends_away_from_them(planner: Planner) -> None:
     people = People(np.array([5.0, 9.0]), np.tile(row, (2, 1, 1)), CAMERA)
 
     def nearest(plan: Trajectory) -> float:
-        capsules = planner.arm.capsules(plan.at(np.linspace(*plan.times[[0, -1]], 50))[0])
-        return float((somebody.segment_distance(capsules.start, capsules.end) - capsules.radius).min())
+        links = planner.arm.capsules(plan.at(np.linspace(*plan.times[[0, -1]], 50))[0])
+        return float((somebody.segment_distance(links[..., :3], links[..., 3:6]) - links[..., 6]).min())
 
     bent = list(planner.bent(straight, people))
     assert bent
