@@ -153,7 +153,7 @@ def random_problems(count: int, seconds: float) -> dict[str, Any]:
 
 def least_clearance(checker: CollisionChecker, trajectory: Trajectory) -> float:
     """Least distance [m] of the arm to the scene or itself, looked at twice as finely as the planner does."""
-    q, _ = trajectory.at(checker.looks(trajectory, 0.5 * LOOKS[0]))
+    q = trajectory.at(checker.looks(trajectory, 0.5 * LOOKS[0]))
     return min(min(checker.clearance(each)) for each in q)
 
 

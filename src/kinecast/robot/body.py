@@ -31,8 +31,8 @@ HIPS_AND_HEAD = np.array([[0.0, 0.0, -0.50], [0.0, 0.0, 0.25]])
 """From mid-shoulders down to the hips and up to the middle of the head [m]."""
 MEASURED_BODY = np.array([0.10, 0.07, 0.10, 0.10, 0.07, 0.10, 0.13, 0.18, 0.14])
 """Radii of the `PARTS` as a camera measures them [m]. Estimates: a large man's arms have radii of about 0.06 and
-0.05 m; the rest is clothing and the tracker's error, since a joint measured by a camera lies beside the bone's axis. The
-hand's holds a spread hand about its middle; then half the depth of a clothed chest, half its width, a head with hair."""
+0.05 m; the rest is clothing and the tracker's error, since a joint measured by a camera lies beside the bone's axis.
+The hand's holds a spread hand; then half the depth of a clothed chest, half its width, a head with hair."""
 TRUE_BODY = np.array([0.06, 0.05, 0.055, 0.06, 0.05, 0.055, 0.11, 0.16, 0.11])
 """Of a large adult without clothes and without the tracker's error (estimates): what touches this touches the person.
 The arm's side keeps away from more than that."""

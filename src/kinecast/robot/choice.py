@@ -231,4 +231,4 @@ def _followed(trajectory: Trajectory, arm: UR5) -> Float[np.ndarray, "W 6"]:
     """Configurations `STEP` apart as it is followed, the last at its end or a little after [rad]."""
     trajectory = within_limits(trajectory, arm)
     count = int(np.ceil(trajectory.duration / STEP - 1e-6))
-    return trajectory.at(trajectory.times[0] + STEP * np.arange(count + 1))[0]
+    return trajectory.at(trajectory.times[0] + STEP * np.arange(count + 1))

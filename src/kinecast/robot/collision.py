@@ -74,7 +74,7 @@ class CollisionChecker:
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
         coarse = np.linspace(trajectory.times[0], trajectory.times[-1], 2 * len(trajectory.times))
-        ends = self.arm.capsules(trajectory.at(coarse)[0])[..., :6].reshape(len(coarse), -1, 3)
+        ends = self.arm.capsules(trajectory.at(coarse))[..., :6].reshape(len(coarse), -1, 3)
         way = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1) + 1e-4
         travelled = np.concatenate([[0.0], np.cumsum(way)])
         count = int(np.ceil(travelled[-1] / step)) + 1
@@ -88,7 +88,7 @@ class CollisionChecker:
         """
         found = ""
         for step in LOOKS:
-            rows, _ = trajectory.at(self.looks(trajectory, step))
+            rows = trajectory.at(self.looks(trajectory, step))
             if not (found := next((what for q in rows if (what := self.touched(q, 0.5 * step))), "")):
                 break
         return found

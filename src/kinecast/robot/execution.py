@@ -63,8 +63,6 @@ class Executor:
     """
 
     def __init__(self, arm: UR5, dt: float, q: Float[np.ndarray, "6"]) -> None:
-        if not 0 < dt <= 0.1:
-            raise OptionError(f"dt {dt} s is outside (0, 0.1]")
         self.arm, self.dt, self.slider = arm, dt, 1.0
         self.q, self.qd, self.qdd = np.array(q, dtype=np.float64), np.zeros(6), np.zeros(6)
         self._motion: _Motion | None = None
@@ -146,9 +144,7 @@ class Executor:
 
 def within_limits(trajectory: Trajectory, arm: UR5) -> Trajectory:
     """The motion as it is followed: slowed down where the arm could not follow."""
-    limits = np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
-    slower = trajectory.excess(SHARE[:, None] * limits)
-    return trajectory if slower <= 1 else trajectory.stretched(slower)
+    return trajectory.within(SHARE[:, None] * np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk]))
 
 
 class _Motion:
@@ -163,10 +159,11 @@ class _Motion:
         self._ways, self._ends = ways, np.cumsum([way.duration for way in ways])
         self.duration = float(self._ends[-1])
         parts = [np.linspace(0.0, way.duration, 200) for way in ways]
-        rates = [way.derivatives(way.times[0] + since)[1:] for way, since in zip(ways, parts, strict=True)]
-        begins = self._ends - [way.duration for way in ways]
-        self._since = np.concatenate([begin + since for begin, since in zip(begins, parts, strict=True)])
-        first, self._second, third = np.concatenate(rates, axis=1)
+        self._since = np.concatenate([end - part[-1] + part for end, part in zip(self._ends, parts, strict=True)])
+        first, self._second, third = (
+            np.concatenate([way.at(way.times[0] + part, order) for way, part in zip(ways, parts, strict=True)])
+            for order in (1, 2, 3)
+        )
         self._speed = np.maximum(np.abs(first), SLOWEST)
         self._speeding_up = np.sign(first) * self._second  # below 0 where the motion itself slows down
         self._jerk = np.abs(third)
@@ -174,8 +171,10 @@ class _Motion:
 
     def at(self, clock: _Clock) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
         """The arm's state at a clock's reading."""
-        way = min(int(np.searchsorted(self._ends, clock.s, side="right")), len(self._ways) - 1)
-        q, first, second, _ = self._ways[way].derivatives(self._ways[way].times[-1] + clock.s - self._ends[way])
+        k = min(int(np.searchsorted(self._ends, clock.s, side="right")), len(self._ways) - 1)
+        q, first, second = (
+            self._ways[k].at(self._ways[k].times[-1] + clock.s - self._ends[k], order) for order in range(3)
+        )
         return q, first * clock.rate, second * clock.rate**2 + first * clock.change
 
     def bounds(self, s: float, rate: float, braking: bool) -> tuple[float, float]:

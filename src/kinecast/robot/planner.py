@@ -31,7 +31,7 @@ except ImportError as error:  # pragma: no cover - the tests install it
 
 __all__ = ["SPEED", "NoPlan", "Planner", "searched"]
 
-SPEED, ACCELERATION, JERK = 1.57, 4.0, 75.0
+LIMITS = SPEED, ACCELERATION, JERK = np.array([1.57, 4.0, 75.0])
 """Greatest of an angle [rad/s, rad/s^2, rad/s^3]: half of the speed that the arm can do, as beside people nothing is
 gained by more; less than half of its acceleration and jerk, the rest is for braking."""
 TOLERANCE = 1.02
@@ -104,7 +104,7 @@ class Planner:
             return NoPlan("the arm's state is not known")
         if self.checker.touched(q):
             return NoPlan("the arm touches the scene or itself")
-        if len(goals) == 0 or not np.isfinite(goals).all():
+        if len(goals) == 0:
             return NoPlan("the goal is out of reach")
         goals = self._usable(q, goals)
         if not len(goals):
@@ -135,7 +135,7 @@ class Planner:
         for corners in (np.stack([q, goal]), *self._inside(q, goal)):
             path, times = _along(corners, BENT_WAYPOINTS, start_time)
             path, _ = self._chomp.optimise(path, times, SCENE_MARGINS[0], people)
-            bent = _slow_enough(Trajectory(times, path))
+            bent = Trajectory(times, path).within(LIMITS, TOLERANCE)
             if not self.checker.check(bent):
                 yield bent
 
@@ -161,7 +161,7 @@ class Planner:
         blocked = ""
         for margin in SCENE_MARGINS:
             path, excess = self._chomp.optimise(path, times, margin)
-            trajectory = _slow_enough(Trajectory(times, path))
+            trajectory = Trajectory(times, path).within(LIMITS, TOLERANCE)
             blocked = self.checker.check(trajectory)
             if not blocked:
                 return trajectory
@@ -199,11 +199,8 @@ def searched(
         iterations: of the search at most, about 0.5 ms each.
         seed: of the search; the same seed gives the same path.
     """
-    free = [goal for goal in goals if not checker.touched(goal, margin)]
-    if not free or checker.touched(start, margin):
-        return None
     left = count(iterations, -1)
-    ends, bounds = np.stack([start, *free]), ob.RealVectorBounds(6)
+    ends, bounds = np.stack([start, *goals]), ob.RealVectorBounds(6)
     low = np.maximum(ends.min(axis=0) - np.pi, checker.arm.q_range[:, 0])
     high = np.minimum(ends.max(axis=0) + np.pi, checker.arm.q_range[:, 1])
     with _ONE_SEARCH_AT_A_TIME:
@@ -221,7 +218,7 @@ def searched(
         setup.setStateValidityChecker(lambda state: not checker.touched(_angles(state), margin))
         setup.addStartState(_state(space, start))
         targets = ob.GoalStates(information)
-        for goal in free:
+        for goal in goals:
             targets.addState(_state(space, goal))
         setup.setGoal(targets)
         setup.setPlanner(og.RRTConnect(information))
@@ -262,9 +259,3 @@ def _duration(way: Float[np.ndarray, "6"]) -> float:
     return max(
         1.875 * longest / SPEED, (5.7735 * longest / ACCELERATION) ** 0.5, (60 * longest / JERK) ** (1 / 3), SHORTEST
     )
-
-
-def _slow_enough(trajectory: Trajectory) -> Trajectory:
-    """The motion in as much time as the limits need."""
-    excess = trajectory.excess(np.array([SPEED, ACCELERATION, JERK]), 100)
-    return trajectory.stretched(TOLERANCE * excess) if excess > TOLERANCE else trajectory

@@ -113,7 +113,7 @@ class Supervisor:
         if self._trajectory is None:
             return np.repeat(self.executor.q[None], len(seconds), axis=0)
         end = float(self._trajectory.times[-1])
-        return self._trajectory.at(end - self.executor.remaining + seconds)[0]
+        return self._trajectory.at(end - self.executor.remaining + seconds)
 
     def see(self, shot: CameraFrame, predictions: Sequence[Prediction], now: float) -> None:
         """Takes in a shot and what is predicted from it, one prediction a person; none means: nothing is predicted."""

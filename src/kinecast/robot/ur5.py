@@ -57,7 +57,7 @@ class UR5:
         max_speed: (6,) [rad/s]; max_acceleration: (6,) [rad/s^2]; max_jerk: (6,) [rad/s^3].
         stop_jerk: (6,) that it may brake with [rad/s^3].
         joint_origins: (6, 4, 4) each joint's frame in its parent's; it turns about its own z axis.
-        links: (L, 7) capsules of the `LINKS`, each in the frame of the joint that moves it; link_joint: (L,) that joint.
+        links: (L, 7) capsules of the `LINKS`, each in its joint's frame; link_joint: (L,) the joint that moves it.
         pedestal: (7,) the base's capsule, which does not move.
     """
 

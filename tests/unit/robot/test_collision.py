@@ -94,7 +94,7 @@ def test_a_thin_thing_between_two_waypoints_is_found(arm: UR5) -> None:
 
 
 def test_looks_leave_no_gap_wider_than_the_step(checker: CollisionChecker, arm: UR5) -> None:
-    q, _ = sweep().at(checker.looks(sweep(), 0.01))
+    q = sweep().at(checker.looks(sweep(), 0.01))
     way = np.linalg.norm(np.diff(arm.capsules(q)[..., 3:6], axis=0), axis=-1)
     assert way.max() < 0.0125
 

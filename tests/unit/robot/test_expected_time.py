@@ -78,7 +78,7 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     rate = 1.0
     while not executor.done and steps < 2000:
         before = trajectory.duration - executor.remaining
-        ahead = trajectory.at(before + np.array([0.0, 1e-3]))[0]
+        ahead = trajectory.at(before + np.array([0.0, 1e-3]))
         links = moving(arm.capsules(ahead), 1e-3)
         found = separation(links, person, CELL.separation)
         rate = min(found.scale, rate + 3.0 * dt)

@@ -57,7 +57,7 @@ def test_straight_lines_are_straight_and_keep_the_tool_turned(arm: UR5) -> None:
     down = CELL.grasp(red.position)[:3, 3]
     way = straight(arm, q, down, 5.0)
     assert way is not None
-    poses = [arm.forward_kinematics(way.at(t)[0]) for t in np.linspace(way.times[0], way.times[-1], 60)]
+    poses = [arm.forward_kinematics(way.at(t)) for t in np.linspace(way.times[0], way.times[-1], 60)]
     places = np.array([pose[:3, 3] for pose in poses])
     np.testing.assert_allclose(places[:, :2], np.tile(down[:2], (60, 1)), atol=2e-3)
     np.testing.assert_allclose(places[-1], down, atol=1e-6)
