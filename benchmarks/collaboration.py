@@ -35,11 +35,10 @@ from benchmarks.collaboration_report import report, save_plot, summarise
 from benchmarks.machine import RESULTS, facts, save
 from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.collaboration import generated_person, predictor_named, replayed_person
 from kinecast.robot.outcome import Outcome, outcome_of
-from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import Camera, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 
 PREDICTORS = ("kinecast", "none", "zero_velocity", "damped_velocity", "oracle", "reachable")

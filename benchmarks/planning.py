@@ -23,13 +23,12 @@ from jaxtyping import Float
 from benchmarks.machine import facts, milliseconds, save
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.chomp import Chomp
 from kinecast.robot.collaboration import generated_person, predictor_named
 from kinecast.robot.collision import LOOKS, CollisionChecker
 from kinecast.robot.planner import SCENE_MARGINS, WAYPOINTS, NoPlan, Planner, searched
-from kinecast.robot.simulated_person import ReactivePerson
+from kinecast.robot.simulated_person import Camera, ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import UR5

@@ -212,9 +212,9 @@ def warm_up(samples: int) -> None:
 def episode(arm: UR5, driver: UrDriver, seen: Seen, ended: Callable[[], bool]) -> Iterator[str]:
     """The cell's episode by a real arm, until there is no source or something stops it; what is decided, in lines."""
     from kinecast.robot.async_planner import AsyncPlanner
-    from kinecast.robot.camera import CameraFrame
     from kinecast.robot.cell import Cell
     from kinecast.robot.choice import Chooser
+    from kinecast.robot.people import CameraFrame
     from kinecast.robot.planner import Planner
     from kinecast.robot.supervisor import Supervisor
 

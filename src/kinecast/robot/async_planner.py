@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from kinecast.errors import OptionError
 from kinecast.robot.choice import Choice, Request
 from kinecast.robot.planner import NoPlan
 
@@ -38,8 +37,6 @@ class AsyncPlanner:
         threaded: bool = False,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        if not latency >= 0:
-            raise OptionError(f"latency {latency} s must be 0 or more")
         self.pending: Request | None = None
         """What is being worked on."""
         self.latency = latency
@@ -78,7 +75,7 @@ class AsyncPlanner:
         try:
             return self._solve(request)
         except Exception as error:
-            log.exception("planning for %s failed", request.why)
+            log.exception("planning of %r failed", request.options[0].step)
             return NoPlan(f"the planner failed: {error}", crashed=True)
         finally:
             self.worked += self._clock() - began

@@ -83,7 +83,6 @@ class Request:
         motions: of the people from now on (kinecast.robot.motions); None: nobody is there, or nothing is known of them.
         present: the first of the options, and (W, 6) configurations `STEP` apart in which the arm goes on with it if
             nothing is changed [rad]; None where it must change, or stands.
-        why: in words, to tell answers apart.
     """
 
     options: tuple[Option, ...]
@@ -92,7 +91,6 @@ class Request:
     wait: float = 0.0
     motions: Float[np.ndarray, "S N K 7"] | None = None
     present: Float[np.ndarray, "W 6"] | None = None
-    why: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,32 +182,27 @@ class Chooser:
 
 
 def options_for(
-    step: Step,
-    target: str | None,
-    sequence: TaskSequence,
-    cell: Cell,
-    places: GraspConfigurations,
-    q: Float[np.ndarray, "6"],
+    step: Step, target: str | None, sequence: TaskSequence, places: GraspConfigurations, q: Float[np.ndarray, "6"]
 ) -> tuple[Option, ...]:
     """What may be done in a step, what the arm is at first: every cube left, the cube's place, or where it rests.
 
     Args:
         step: REACH, CARRY or REST; target: the cube of the arm.
         sequence: cubes left, and who takes them.
-        cell: with the cubes; places: how the arm stands at them.
+        places: how the arm stands at cubes and places.
         q: (6,) where it is [rad].
     """
     if step is Step.REST:
         return (Option(step, target, places.rest(q), None),)
     if step is Step.CARRY:
         assert target is not None
-        place = cell.cube(target).place
+        place = places.cell.cube(target).place
         return (Option(step, target, places.above(place, q), place),)
     found = []
     for name in sorted(sequence.remaining, key=lambda name: name != target):
-        place = cell.cube(name).position
+        place = places.cell.cube(name).position
         price = ORDER * (name != sequence.remaining[0]) + TAKEN * sequence.is_taken(name) - places.usual(place, SPEED)
-        found.append(Option(Step.REACH, name, places.above(place, q), place, price))
+        found.append(Option(step, name, places.above(place, q), place, price))
     return tuple(found)
 
 

@@ -24,9 +24,8 @@ from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
 from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell, standing_at
-from kinecast.robot.simulated_person import Person, PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import Camera, Person, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.types import Prediction, SkeletonFrame, Status
 

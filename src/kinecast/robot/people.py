@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -12,12 +13,11 @@ from kinecast.body.skeleton import ARM_JOINTS, arms_of
 from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.shapes import Sphere
 from kinecast.robot.body import HAND_LENGTH, MEASURED_BODY, body_capsules, held, interpolated
-from kinecast.robot.camera import CameraFrame
 from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted, motions_of
 from kinecast.robot.separation import Moving
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["PeopleModel", "occupied", "reach_probabilities"]
+__all__ = ["CameraFrame", "PeopleModel", "occupied", "reach_probabilities"]
 
 SLOPE = 0.14
 """Span of the measurements over which a joint's speed is taken [s]."""
@@ -38,6 +38,14 @@ ARM_PARTS = ("shoulder", "elbow", "wrist")
 
 
 NOBODY = Moving(np.empty((0, 7)), np.empty((0, 6)), np.empty(0))
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """Everybody seen at one instant. An empty one says that nobody is there; a silent camera says nothing."""
+
+    stamp: float  # when it was taken [s]
+    frames: tuple[SkeletonFrame, ...]  # one for each person
 
 
 class PeopleModel:

@@ -44,21 +44,6 @@ class Step(Enum):
     RISE = "up from the cube"
     REST = "to where it rests"
 
-    @property
-    def planned(self) -> bool:
-        """Whether its path is the planner's."""
-        return self in (Step.REACH, Step.CARRY, Step.REST)
-
-    @property
-    def grasping(self) -> bool:
-        """Whether it belongs to taking the cube."""
-        return self in (Step.DESCEND, Step.CLOSE, Step.LIFT)
-
-    @property
-    def placing(self) -> bool:
-        """Whether it belongs to putting it down."""
-        return self in (Step.LOWER, Step.OPEN, Step.RISE)
-
 
 class TaskSequence:
     """The cubes still to be moved, in order.
@@ -182,7 +167,7 @@ class GraspConfigurations:
     """
 
     def __init__(self, arm: UR5, cell: Cell) -> None:
-        self._range = arm.q_range
+        self.cell, self._range = cell, arm.q_range
         self._resting = postures(arm, cell.grasp(cell.rest))
         self._above = {
             tuple(point): postures(arm, cell.grasp(point, cell.hover), cell.hover)

@@ -1,18 +1,23 @@
-"""People in the cell: played from recorded or generated positions."""
+"""People in the cell, played from recorded or generated positions, and what a depth camera makes of them."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.robot.body import TRUE_BODY, body_capsules, interpolated
+from kinecast.robot.people import CameraFrame
 from kinecast.robot.separation import Moving, SeparationOptions, moving, separation
+from kinecast.types import SkeletonFrame
 
-__all__ = ["Person", "PlayedPerson", "ReactivePerson"]
+__all__ = ["Camera", "Person", "PlayedPerson", "ReactivePerson"]
 
+RATE = 30.0
+"""Of the camera's shots [Hz]."""
 MARGIN, FORESIGHT = 0.06, 0.25
 """A person goes no nearer to the arm than this [m], and looks so far ahead [s]."""
 CHANGE = 5.0
@@ -103,3 +108,34 @@ class ReactivePerson:
 
 Person = PlayedPerson | ReactivePerson
 """Somebody whose joints are known at every instant: the truth, which only the simulation sees."""
+
+
+@dataclass
+class Camera:
+    """A camera and its tracker: takes a shot at every multiple of its period, noisy, late, with gaps."""
+
+    delay: float = 0.04  # from taking to knowing [s]: exposure, pose estimation, network
+    noise: float = 0.002  # standard deviation of each coordinate [m]; HA4M: 1.3 mm at the neck to 2.4 mm at a wrist
+    lost: float = 0.01  # share of shots in which one arm is not seen
+    dropped: float = 0.005  # share of shots that never arrive
+    seed: int = 0  # of the noise
+    _next: int = field(default=0, init=False)
+
+    def shots(self, now: float, people: Sequence[Person]) -> list[CameraFrame]:
+        """Shots that have become known by now and were not handed over before, oldest first."""
+        due = []
+        while (stamp := self._next / RATE) + self.delay <= now + 1e-9:
+            rng = np.random.default_rng([self.seed, self._next])  # of this shot: what happens before changes nothing
+            if rng.random() >= self.dropped:
+                due.append(CameraFrame(stamp, tuple(self._frame(rng, stamp, person) for person in people)))
+            self._next += 1
+        return due
+
+    def _frame(self, rng: np.random.Generator, stamp: float, person: Person) -> SkeletonFrame:
+        pose = person.at(stamp)
+        seen = pose + rng.normal(0.0, 1.0, pose.shape) * self.noise
+        if rng.random() < self.lost:
+            side = "left" if rng.random() < 0.5 else "right"
+            parts = ("wrist",) if rng.random() < 0.5 else ("elbow", "wrist")
+            seen[[name in {f"{side}_{part}" for part in parts} for name in person.joints]] = np.nan
+        return SkeletonFrame(stamp, person.joints, seen, person.name, "cell")

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from kinecast.errors import OptionError
 from kinecast.robot.async_planner import AsyncPlanner, Solve
 from kinecast.robot.body import TRUE_BODY, body_capsules
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Chooser
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
@@ -19,7 +18,7 @@ from kinecast.robot.people import occupied
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.planner import Planner
 from kinecast.robot.separation import Moving, Separation, SeparationOptions, moving, separation
-from kinecast.robot.simulated_person import Person, ReactivePerson
+from kinecast.robot.simulated_person import Camera, Person, ReactivePerson
 from kinecast.robot.supervisor import Command, Supervisor
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, SkeletonFrame

@@ -41,6 +41,10 @@ class LimitReason(Enum):
     UNSEEN = "Somebody is there whose arms were never seen."
 
 
+BLIND = {LimitReason.SILENCE, LimitReason.UNSEEN}
+"""Nobody knows where somebody is."""
+
+
 class SpeedLimit(NamedTuple):
     """How fast the arm may go."""
 
@@ -116,6 +120,6 @@ class SpeedHysteresis:
         level = Level.FULL if limit.speed > FREE else Level.SLOW if limit.speed > STILL else Level.HELD
         same = level is self.level and limit.reason is self.reason
         braked = level is Level.HELD or (level is Level.SLOW and self.level is Level.FULL and limit.speed < BRAKED)
-        blind = {LimitReason.SILENCE, LimitReason.UNSEEN} & {self.reason, limit.reason}
+        blind = BLIND & {self.reason, limit.reason}
         if same or braked or blind or now - self._since >= SETTLE:
             self.level, self.reason, self._since = level, limit.reason, now

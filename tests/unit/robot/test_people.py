@@ -10,9 +10,8 @@ import pytest
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.shapes import Capsule
 from kinecast.robot.body import HAND_LENGTH, MEASURED_BODY, PARTS, TRUE_BODY, body_capsules, interpolated
-from kinecast.robot.camera import CameraFrame
 from kinecast.robot.motions import is_trusted
-from kinecast.robot.people import FASTEST, HARDEST, TOUCH, PeopleModel, occupied, reach_probabilities
+from kinecast.robot.people import FASTEST, HARDEST, TOUCH, CameraFrame, PeopleModel, occupied, reach_probabilities
 from kinecast.robot.separation import Moving
 from kinecast.types import Prediction, SkeletonFrame, Status
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from kinecast.datasets.recording import Recording
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import replayed_person
 from kinecast.robot.separation import Moving
-from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
+from kinecast.robot.simulated_person import Camera, PlayedPerson, ReactivePerson
 
 from .conftest import FaultyCamera
 

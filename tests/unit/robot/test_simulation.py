@@ -11,10 +11,10 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.async_planner import Solve
-from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell, cell_named
 from kinecast.robot.choice import Choice, Chooser, Request
 from kinecast.robot.episode import Episode
+from kinecast.robot.people import CameraFrame
 from kinecast.robot.planner import NoPlan, Planner
 from kinecast.robot.simulated_person import Person
 from kinecast.robot.simulation import Predict, Simulation
