@@ -163,9 +163,7 @@ def descent(count: int) -> dict[str, Any]:
         task = problem(np.random.default_rng(seed))
         straight = task.start + minimum_jerk(WAYPOINTS)[:, None] * (task.goal - task.start)
         begin = time.perf_counter()
-        _, excess = Chomp(arm, task.scene.rows(np.zeros(1))[0]).optimise(
-            straight, np.linspace(0.0, 2.0, WAYPOINTS), SCENE_MARGINS[0]
-        )
+        _, excess = Chomp(arm, task.scene.rows(np.zeros(1))[0]).optimise(straight, SCENE_MARGINS[0])
         seconds.append(time.perf_counter() - begin)
         free += excess > 0
     return {"waypoints": WAYPOINTS, "free": int(free), **milliseconds(seconds)}

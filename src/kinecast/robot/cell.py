@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -32,7 +33,7 @@ class Cube:
     name: str  # also its colour
     position: Float[np.ndarray, " 3"]  # where it stands, its centre [m]
     place: Float[np.ndarray, " 3"]  # where it is to stand [m]
-    size: float = 0.05  # length of an edge [m]
+    size: ClassVar[float] = 0.05  # length of an edge [m]
 
 
 def _cubes(apart: float = 0.38, first: float = 0.0) -> tuple[Cube, ...]:
@@ -70,11 +71,11 @@ class Cell:
         delay: of the camera, from taking a shot to knowing it [s].
     """
 
+    table: ClassVar[Box] = Box(np.array([0.29, 0.0, TABLE_TOP - 0.02]), np.array([1.3, 1.7, 0.04]))
+    hover: ClassVar[float] = 0.14
+    grip: ClassVar[float] = 0.015
+    rest: ClassVar[Float[np.ndarray, "3"]] = np.array([0.22, -0.42, 0.3])
     cubes: tuple[Cube, ...] = field(default_factory=_cubes)
-    table: Box = field(default_factory=lambda: Box(np.array([0.29, 0.0, TABLE_TOP - 0.02]), np.array([1.3, 1.7, 0.04])))
-    hover: float = 0.14
-    grip: float = 0.015
-    rest: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.array([0.22, -0.42, 0.3]))
     person: Float[np.ndarray, "4 4"] = field(default_factory=lambda: standing_at(1.33, 0.0))
     separation: SeparationOptions = CAMERA
     delay: float = 0.05
@@ -102,7 +103,7 @@ class Cell:
         """
         T = np.diag([1.0, -1.0, -1.0, 1.0])
         T[:3, 3] = point
-        T[2, 3] += self.cubes[0].size / 2 - self.grip + above
+        T[2, 3] += Cube.size / 2 - self.grip + above
         return T
 
 

@@ -27,8 +27,6 @@ from kinecast.robot.ur5 import UR5
 __all__ = ["Choice", "Chooser", "Option", "Request", "grasp_rows", "options_for"]
 
 
-RISK = 0.2
-"""Price of what the slowest tenth takes longer than the mean [s/s]."""
 WORTH = 0.3
 """A loss below this is not worth another plan [s]."""
 GAIN, CHANGE = 0.8, 0.4
@@ -112,6 +110,11 @@ class Choice:
     wait: float = 0.0
 
     @property
+    def cost(self) -> float:
+        """What it costs more than with nobody there [s]."""
+        return self.time.priced + self.option.price
+
+    @property
     def foretold(self) -> TravelTime:
         """The time as it will really be: with the errors that expected times have."""
         return self.time.with_errors(ERRORS.get(self.option.step, (0.0,)))
@@ -121,51 +124,41 @@ class Chooser:
     """Compares.
 
     Args:
-        planner: of the ways.
+        arm: its kinematics.
         cell: with the cubes, and the constants of monitoring.
     """
 
-    def __init__(self, planner: Planner, cell: Cell) -> None:
-        self.planner, self.cell = planner, cell
+    def __init__(self, arm: UR5, cell: Cell) -> None:
+        self.arm, self.cell, self._planner = arm, cell, Planner(arm, cell.scene)
 
     def choose(self, request: Request) -> Choice | NoPlan:
         """The option and the way that are done soonest, for what they are; or why there is none."""
         best, least = None, np.inf
         if request.present is not None:
-            best = self._timed(request.options[0], None, request.present, request)
-            if best.time.priced(RISK) - best.time.nominal < WORTH:
+            time = travel_time(self.arm, request.present, request.motions, self.cell.separation)
+            best = Choice(request.options[0], None, time, request.present)
+            if best.time.priced - best.time.nominal < WORTH:
                 return best
-            least = self._cost(best) - GAIN
+            least = best.cost - GAIN
         reason = "out of reach"
         ways = []
         for option in request.options:
-            plan = self.planner.plan(request.q, option.goals, request.start_time)
+            plan = self._planner.plan(request.q, option.goals, request.start_time)
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:
                 ways.append(self._new(option, plan, request))
-        ways.sort(key=self._cost)
+        ways.sort(key=lambda way: way.cost)
         for choice in (*ways, *self._bent(ways, request)):
-            cost = self._cost(choice)
-            if request.present is not None and choice.option is not request.options[0]:
-                cost += CHANGE
-            if cost < least:
+            changes = request.present is not None and choice.option is not request.options[0]
+            if (cost := choice.cost + CHANGE * changes) < least:
                 best, least = choice, cost
         return NoPlan(reason) if best is None else best
 
     def _new(self, option: Option, plan: Trajectory, request: Request) -> Choice:
-        return self._timed(option, plan, grasp_rows(self.planner.arm, self.cell, plan, option), request)
-
-    def _timed(
-        self, option: Option, plan: Trajectory | None, rows: Float[np.ndarray, "W 6"], request: Request
-    ) -> Choice:
-        wait = 0.0 if plan is None else request.wait
-        time = travel_time(self.planner.arm, rows, request.motions, self.cell.separation, wait)
-        return Choice(option, plan, time, rows, wait)
-
-    def _cost(self, choice: Choice) -> float:
-        """What it costs more than with nobody there [s]."""
-        return choice.time.priced(RISK) + choice.option.price
+        rows = grasp_rows(self.arm, self.cell, plan, option)
+        time = travel_time(self.arm, rows, request.motions, self.cell.separation, request.wait)
+        return Choice(option, plan, time, rows, request.wait)
 
     def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
         """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
@@ -175,9 +168,9 @@ class Chooser:
         assert best.plan is not None
         capsules = held(request.motions[:, instants], LIKELY)
         times = request.start_time - request.wait + STEP * np.arange(len(capsules))
-        for plan in self.planner.bent(best.plan, People(times, capsules, self.cell.separation)):
+        for plan in self._planner.bent(best.plan, times, People(capsules, self.cell.separation)):
             bent = self._new(best.option, plan, request)
-            if bent.time.priced(RISK) < best.time.priced(RISK) - WORTH:
+            if bent.time.priced < best.time.priced - WORTH:
                 yield bent
 
 

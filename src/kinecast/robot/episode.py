@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from kinecast.robot.expected_time import TravelTime
 from kinecast.types import Decision, RobotState
 
 __all__ = ["Episode", "SceneSnapshot", "Tick"]
@@ -51,10 +52,8 @@ class Episode:
     scenes: list[SceneSnapshot] = field(default_factory=list)  # one for each shot that arrived
     latencies: list[float] = field(default_factory=list)  # frame in to decision out, less planning beside it [s]
     plannings: list[float] = field(default_factory=list)  # time each plan took [s]
-    replans: int = 0  # reactions that changed cube or path
-    forecasts: list[tuple[float, float, float, float]] = field(default_factory=list)
-    """Of each way to the end of a grasp or a placing: how long it took, how long it was expected to take, and the 5 and
-    95 % quantiles of that [s]."""
+    forecasts: list[tuple[float, TravelTime]] = field(default_factory=list)
+    """How long each way to the end of a grasp or a placing took [s], and how long it was to take when begun."""
     placed: dict[str, float] = field(default_factory=dict)  # when each cube stood in its place [s]
-    given_up: tuple[str, ...] = ()  # cubes that could not be had
+    given_up: list[str] = field(default_factory=list)  # cubes that could not be had
     end: float = 0.0  # when it was over [s]

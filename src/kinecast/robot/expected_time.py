@@ -29,8 +29,8 @@ MEASURED = 0.1
 """What the noise of a camera adds to the speed at which monitoring takes people to come [m/s]."""
 AGE = 0.1
 """Of what monitoring will know of the people at each moment [s]: the camera's delay."""
-TAIL = 0.1
-"""Share of the slowest motions that the price of risk looks at."""
+RISK, TAIL = 0.2, 0.1
+"""Price of what the slowest take longer than the mean [s/s], and the share of motions that counts as the slowest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,11 @@ class TravelTime:
         samples = self.samples[:, None] + self.nominal * np.asarray(shares)
         return TravelTime(self.nominal, np.sort(np.maximum(samples, 0.0).ravel()))
 
-    def priced(self, risk: float) -> float:
-        """Expected time, plus `risk` times what the slowest tenth takes longer than that (CVaR) [s]."""
+    @property
+    def priced(self) -> float:
+        """Expected time, plus `RISK` times what the slowest tenth takes longer than that (CVaR) [s]."""
         slowest = self.samples[-max(1, math.ceil(TAIL * len(self.samples))) :]
-        return self.mean + risk * (float(slowest.mean()) - self.mean)
+        return self.mean + RISK * (float(slowest.mean()) - self.mean)
 
 
 def travel_time(

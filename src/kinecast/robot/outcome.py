@@ -80,12 +80,12 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
     moving, short = speed > MOVES, margin < 0
     waiting = (on_the_way > 0) & ~moving
     stops = [last - first for first, last in runs(waiting) if (last - first) * dt >= LONG_ENOUGH]
-    missing = [name for name in cell.order if name not in episode.placed or name in episode.given_up]
+    missing = [name for name in cell.order if name not in episode.placed]
     latency, planning = (
         1e3 * np.percentile(seconds or [np.nan], [50, 99]) for seconds in (episode.latencies, episode.plannings)
     )
-    took, mean, low, high = np.array(episode.forecasts or [(np.nan,) * 4]).T
-    held = (low <= took) & (took <= high)
+    errors = [took / time.mean - 1.0 for took, time in episode.forecasts]
+    held = [time.quantile(0.05) <= took <= time.quantile(0.95) for took, time in episode.forecasts]
     return Outcome(
         result=f"without {', '.join(missing)}" if missing else "done",
         contacts=len(runs(distance <= 0)),
@@ -95,15 +95,15 @@ def outcome_of(episode: Episode, people: Sequence[Person], cell: Cell) -> Outcom
         time_to_done=episode.end if missing else max(episode.placed.values()),
         stops=len(stops),
         stopped=dt * sum(stops),
-        replans=episode.replans,
+        replans=sum(each.reaction is not None for each in episode.decisions),
         false_replans=sum(_is_false(each, people, cell) for each in episode.decisions),
         latency_p50=float(latency[0]),
         latency_p99=float(latency[1]),
         planning_p50=float(planning[0]),
         planning_p99=float(planning[1]),
         forecasts=len(episode.forecasts),
-        forecast_error=float(np.median(np.abs(took / mean - 1.0))),
-        forecast_held=float(held.mean()) if episode.forecasts else math.nan,
+        forecast_error=float(np.median(np.abs(errors or [np.nan]))),
+        forecast_held=float(np.mean(held or [np.nan])),
     )
 
 

@@ -54,6 +54,7 @@ class TaskSequence:
 
     def __init__(self, order: tuple[str, ...]) -> None:
         self.remaining = list(order)
+        self.placed: dict[str, float] = {}
         self.given_up: list[str] = []
         self.probabilities = dict.fromkeys(order, 0.0)
         self._taken = dict.fromkeys(order, False)
@@ -78,9 +79,10 @@ class TaskSequence:
         """Whether the cube is the person's for now."""
         return self._taken[name]
 
-    def finish(self, name: str) -> None:
-        """The cube is in its place."""
+    def finish(self, name: str, now: float) -> None:
+        """The cube is in its place [s]."""
         self.remaining.remove(name)
+        self.placed[name] = now
 
     def give_up(self, name: str) -> None:
         """The cube cannot be had."""

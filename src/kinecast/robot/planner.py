@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
+from kinecast.robot.body import interpolated
 from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.pick_place import nearest, postures
@@ -124,18 +125,20 @@ class Planner:
                     return found
         return NoPlan(f"{found} is in the way; no way around it")
 
-    def bent(self, trajectory: Trajectory, people: People) -> Iterator[Trajectory]:
+    def bent(self, trajectory: Trajectory, times: Float[np.ndarray, " T"], people: People) -> Iterator[Trajectory]:
         """Ways to where a plan leads that bend where speed would be lost beside people: from its own side, and inside.
 
         Args:
             trajectory: the plan with nobody there.
-            people: where they may be; they are no obstacles, they cost time.
+            times: (T,) increasing, T of 1 or more [s].
+            people: where they may be at these times; they are no obstacles, they cost time.
         """
         q, goal, start_time = trajectory.q[0], trajectory.q[-1], float(trajectory.times[0])
         for corners in (np.stack([q, goal]), *self._inside(q, goal)):
-            path, times = _along(corners, BENT_WAYPOINTS, start_time)
-            path, _ = self._chomp.optimise(path, times, SCENE_MARGINS[0], people)
-            bent = Trajectory(times, path).within(LIMITS, TOLERANCE)
+            path, passed = _along(corners, BENT_WAYPOINTS, start_time)
+            beside = People(interpolated(passed, times, people.capsules), people.separation)
+            path, _ = self._chomp.optimise(path, SCENE_MARGINS[0], beside)
+            bent = Trajectory(passed, path).within(LIMITS, TOLERANCE)
             if not self.checker.check(bent):
                 yield bent
 
@@ -160,7 +163,7 @@ class Planner:
         path, times = _along(corners, WAYPOINTS, start_time)
         blocked = ""
         for margin in SCENE_MARGINS:
-            path, excess = self._chomp.optimise(path, times, margin)
+            path, excess = self._chomp.optimise(path, margin)
             trajectory = Trajectory(times, path).within(LIMITS, TOLERANCE)
             blocked = self.checker.check(trajectory)
             if not blocked:

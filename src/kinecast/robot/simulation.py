@@ -8,15 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
 from kinecast.robot.async_planner import AsyncPlanner, Solve
 from kinecast.robot.body import TRUE_BODY, body_capsules
-from kinecast.robot.cell import Cell
+from kinecast.robot.cell import Cell, Cube
 from kinecast.robot.choice import Chooser
 from kinecast.robot.episode import Episode, SceneSnapshot, Tick
 from kinecast.robot.people import occupied
 from kinecast.robot.pick_place import nearest, postures
-from kinecast.robot.planner import Planner
 from kinecast.robot.separation import Moving, Separation, SeparationOptions, moving, separation
 from kinecast.robot.simulated_person import Camera, Person, ReactivePerson
 from kinecast.robot.supervisor import Command, Supervisor
@@ -57,21 +55,18 @@ class SimulatedDriver:
     """
 
     def __init__(self, arm: UR5, cell: Cell, q: Float[np.ndarray, "6"], dt: float = 0.008) -> None:
-        if not dt > 0:
-            raise OptionError(f"dt {dt} s must be above 0")
         self.arm, self.dt, self.q = arm, dt, np.array(q, dtype=np.float64)
         self.cubes = {cube.name: cube.position.copy() for cube in cell.cubes}
         self.held: str | None = None
         self.gripped = False
-        self._below = cell.cubes[0].size / 2 - cell.grip
+        self._below = Cube.size / 2 - cell.grip
 
     def move(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
         """Goes there, or as far as the joints' speeds allow, and takes a cube that is held with it."""
-        if np.isfinite(q).all():
-            furthest = self.arm.max_speed * self.dt
-            self.q = self.q + np.clip(q - self.q, -furthest, furthest)
-            if self.held is not None:
-                self.cubes[self.held] = self._between_fingers()
+        furthest = self.arm.max_speed * self.dt
+        self.q = self.q + np.clip(q - self.q, -furthest, furthest)
+        if self.held is not None:
+            self.cubes[self.held] = self._between_fingers()
         return self.q
 
     def grip(self, closed: bool) -> None:
@@ -79,9 +74,8 @@ class SimulatedDriver:
         self.gripped, self.held = closed, None
         if closed:
             here = self._between_fingers()
-            away = {name: float(np.linalg.norm(place - here)) for name, place in self.cubes.items()}
-            nearest_cube = min(away, key=away.__getitem__)
-            self.held = nearest_cube if away[nearest_cube] < HOLDS else None
+            away, name = min((float(np.linalg.norm(place - here)), name) for name, place in self.cubes.items())
+            self.held = name if away < HOLDS else None
 
     def _between_fingers(self) -> Float[np.ndarray, " 3"]:
         T = self.arm.forward_kinematics(self.q)
@@ -121,10 +115,10 @@ class Simulation:
         q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
         self._clock = clock
-        chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
-        self.planner = AsyncPlanner(solve or chooser.choose, clock=clock)
+        self.planner = AsyncPlanner(solve or Chooser(self.arm, self.cell).choose, clock=clock)
         self.supervisor = Supervisor(self.arm, self.cell, self.planner, q, dt)
-        self.episode = Episode()
+        sequence = self.supervisor.sequence
+        self.episode = Episode(forecasts=self.supervisor.forecasts, placed=sequence.placed, given_up=sequence.given_up)
 
     def run(self) -> Episode:
         """To the end: every cube in its place, or out of time."""
@@ -140,11 +134,6 @@ class Simulation:
             yield self._step(episode.end)
             if self.supervisor.done:
                 break
-        episode.replans = self.supervisor.replans
-        episode.forecasts = [
-            (took, time.mean, time.quantile(0.05), time.quantile(0.95)) for took, time in self.supervisor.forecasts
-        ]
-        episode.given_up = tuple(self.supervisor.sequence.given_up)
 
     def _step(self, now: float) -> Command:
         episode, supervisor = self.episode, self.supervisor
@@ -167,10 +156,6 @@ class Simulation:
         for person in self.people:
             if isinstance(person, ReactivePerson):
                 person.mind(arm, now)
-        sequence = supervisor.sequence
-        for name in self.cell.order:
-            if name not in (*episode.placed, *sequence.remaining, *sequence.given_up):
-                episode.placed[name] = now
         if command.news:
             episode.decisions.append(command.decision)
         if shots:

@@ -86,7 +86,6 @@ class Supervisor:
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
         self.target: str | None = None
-        self.replans = 0
         self.forecasts: list[tuple[float, TravelTime]] = []
         """How long each way to the end of a grasp or a placing took [s], and how long it was to take when begun."""
         self._places = GraspConfigurations(arm, cell)
@@ -211,7 +210,7 @@ class Supervisor:
             self._go_straight(step, now)
         elif self.step is Step.RISE:
             assert self.target is not None
-            self.sequence.finish(self.target)
+            self.sequence.finish(self.target, now)
             self.target = None
             self._stand(Step.NONE)
             self._choose(now)
@@ -283,7 +282,9 @@ class Supervisor:
             return None
         rows = self._choice.rows
         passed = max(self._trajectory.duration - self.executor.remaining, 0.0) / STEP
-        return interpolated(np.append(np.arange(passed, len(rows) - 1), len(rows) - 1), np.arange(len(rows)), rows)
+        return interpolated(
+            np.append(np.arange(passed, len(rows) - 1), len(rows) - 1), np.arange(float(len(rows))), rows
+        )
 
     def _take_answer(self, now: float) -> None:
         """Takes in an answer, if there is one, and follows what it says as soon as the arm stands."""
@@ -316,11 +317,9 @@ class Supervisor:
         if option.step is Step.REACH and option.target != self.target:
             if self.target is not None or option.target != self.sequence.remaining[0]:
                 self._reaction = Reaction.TAKE_ANOTHER if self.target is None else Reaction.CHANGE_CUBE
-                self.replans += 1
             self.target = option.target
         elif self._trajectory is not None and self._purpose is self.step and self.step is not Step.REST:
             self._reaction = Reaction.GO_AROUND
-            self.replans += 1
         self._next = choice
 
     def _no_way(self, reason: str, now: float) -> None:

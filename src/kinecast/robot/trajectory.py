@@ -62,7 +62,7 @@ class Trajectory:
     def within(self, limits: Float[np.ndarray, "3 *D"], tolerance: float = 1.0) -> Trajectory:
         """The same path from the same start time, slowed down to limits of speed, acceleration and jerk.
 
-        If it needs no more than `tolerance` times its time for that it stays as it is; others are slowed to as much less.
+        If it needs no more than `tolerance` times its time it stays as it is; others are slowed to as much less.
         """
         rates = np.abs([self.at(np.linspace(self.times[0], self.times[-1], 200), order) for order in (1, 2, 3)])
         used = (rates.max(axis=1) / np.reshape(limits, (3, -1))).max(axis=1)

@@ -12,7 +12,7 @@ from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime, travel_time
 from kinecast.robot.motions import AHEAD, STEP, PoseHistory, motions_of
 from kinecast.robot.pick_place import GraspConfigurations, Step
-from kinecast.robot.planner import NoPlan, Planner
+from kinecast.robot.planner import NoPlan
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, Status
 
@@ -124,7 +124,7 @@ def options(arm: UR5, q: np.ndarray) -> tuple[Option, ...]:
 
 @pytest.fixture(scope="module")
 def chooser() -> Chooser:
-    return Chooser(Planner(UR5(), CELL.scene), CELL)
+    return Chooser(UR5(), CELL)
 
 
 def test_the_cube_that_nobody_is_at_comes_first(arm: UR5, chooser: Chooser) -> None:

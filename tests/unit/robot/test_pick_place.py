@@ -17,13 +17,13 @@ def test_order_is_kept_while_nobody_reaches_for_anything() -> None:
     sequence = TaskSequence(ORDER)
     sequence.update(0.0, dict.fromkeys(ORDER, 0.1))
     assert not any(map(sequence.is_taken, ORDER))
-    sequence.finish("red")
+    sequence.finish("red", 0.0)
     assert sequence.remaining == ["green", "blue"]
 
 
 def test_a_cube_that_is_reached_for_is_taken_and_comes_back_later() -> None:
     sequence = TaskSequence(ORDER)
-    sequence.finish("red")
+    sequence.finish("red", 0.0)
     sequence.update(0.0, {"green": 0.6, "blue": 0.0})
     assert sequence.is_taken("green")
     sequence.update(1.0, {"green": 0.1})

@@ -92,13 +92,13 @@ def test_beside_somebody_a_way_bends_away_from_them(planner: Planner) -> None:
     assert isinstance(straight, Trajectory)
     somebody = Capsule(np.array([-1.1, 0.0, 0.1]), np.array([-1.1, 0.0, 0.5]), 0.1)
     row = np.concatenate([somebody.start, somebody.end, [somebody.radius]])
-    people = People(np.array([5.0, 9.0]), np.tile(row, (2, 1, 1)), CAMERA)
+    people = People(np.tile(row, (2, 1, 1)), CAMERA)
 
     def nearest(plan: Trajectory) -> float:
         links = planner.arm.capsules(plan.at(np.linspace(*plan.times[[0, -1]], 50)))
         return float((somebody.segment_distance(links[..., :3], links[..., 3:6]) - links[..., 6]).min())
 
-    bent = list(planner.bent(straight, people))
+    bent = list(planner.bent(straight, np.array([5.0, 9.0]), people))
     assert bent
     for plan in bent:
         assert_usable(planner, plan)
