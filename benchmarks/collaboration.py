@@ -7,7 +7,7 @@ Every fourth person is generated; the others are recorded, of sets that the ship
 played forth and back: at work at a table (HA4M), giving something, and walking up to take it (both handover_zed). All
 stop short of an arm that is in their way, as people do. `none` is monitoring alone on the straight ways;
 `zero_velocity` and `damped_velocity` are the same planner without a prediction worth the name. What is measured:
-kinecast.robot.outcome. A run that was cut short goes on where it stopped, if settings and code are the same. Seeds 0 to
+kinecast.robot.episode. A run that was cut short goes on where it stopped, if settings and code are the same. Seeds 0 to
 99 are for figures that are stated; settings were chosen on seeds from 1000.
 """
 
@@ -37,7 +37,7 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.collaboration import generated_person, predictor_named, replayed_person
-from kinecast.robot.outcome import Outcome, outcome_of
+from kinecast.robot.episode import Outcome, outcome_of
 from kinecast.robot.simulated_person import Camera, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 

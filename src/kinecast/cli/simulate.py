@@ -17,8 +17,7 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
-    from kinecast.robot.episode import Episode
-    from kinecast.robot.outcome import Outcome
+    from kinecast.robot.episode import Episode, Outcome
     from kinecast.robot.simulated_person import PlayedPerson
     from kinecast.robot.simulation import Simulation
     from kinecast.types import Decision
@@ -130,8 +129,8 @@ class SimulationConfig:
     ) -> None:
         """Writes decisions, figures and pictures of episodes, with what was asked for."""
         from kinecast.robot.collaboration import SCENARIOS
+        from kinecast.robot.episode import write_episodes
         from kinecast.robot.episode_pictures import animate_episode, draw_storyboard, draw_timeline
-        from kinecast.robot.outcome import write_episodes
 
         asked = {"version": __version__, "scenario": scenario, "predictor": predictor}
         write_episodes(out, episodes, {**asked, **self._settings, **more})
@@ -146,7 +145,7 @@ class SimulationConfig:
 def _play(config: SimulationConfig, scenario: str, predictor: str) -> tuple[Episode, Outcome]:
     """Runs a scenario, and prints the decisions as they fall."""
     from kinecast.robot.collaboration import SCENARIOS
-    from kinecast.robot.outcome import outcome_of
+    from kinecast.robot.episode import outcome_of
 
     simulation = config.simulation(scenario, predictor)
     print(f"{scenario}: {SCENARIOS[scenario].about if config.player is None else 'a recorded person'}")
@@ -162,7 +161,7 @@ def _serve(host: str, port: int, scenario: str, predictor: str, config: Simulati
     An OptionError where nothing can listen there, or for no such predictor.
     """
     from kinecast.robot.collaboration import PREDICTORS, SCENARIOS
-    from kinecast.robot.outcome import outcome_of
+    from kinecast.robot.episode import outcome_of
     from kinecast.view.playback import Setting, Simulations
     from kinecast.view.viewer import Viewer
 

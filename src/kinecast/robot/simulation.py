@@ -94,7 +94,6 @@ class Simulation:
         solve: the planner; the arm's own by default.
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
-        clock: that latencies are taken by [s]; nothing that happens depends on it.
     """
 
     def __init__(
@@ -107,15 +106,13 @@ class Simulation:
         solve: Solve | None = None,
         dt: float = 0.008,
         limit: float = 120.0,
-        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.arm, self.cell = UR5(), cell or Cell()
         self.people, self.predict, self.limit, self.level = people, predict, limit, level
         self.camera = camera or Camera(delay=self.cell.delay)
         q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
-        self._clock = clock
-        self.planner = AsyncPlanner(solve or Chooser(self.arm, self.cell).choose, clock=clock)
+        self.planner = AsyncPlanner(solve or Chooser(self.arm, self.cell).choose)
         self.supervisor = Supervisor(self.arm, self.cell, self.planner, q, dt)
         sequence = self.supervisor.sequence
         self.episode = Episode(forecasts=self.supervisor.forecasts, placed=sequence.placed, given_up=sequence.given_up)
@@ -138,14 +135,14 @@ class Simulation:
     def _step(self, now: float) -> Command:
         episode, supervisor = self.episode, self.supervisor
         shots = self.camera.shots(now, self.people)
-        began, planned = self._clock(), self.planner.worked
+        began, planned = time.perf_counter(), self.planner.worked
         for shot in shots:
             predictions = [self.predict(frame, now) for frame in shot.frames]
             supervisor.see(shot, [each for each in predictions if each is not None], now)
         command = supervisor.control(now)
         planning = self.planner.worked - planned
         if shots:
-            episode.latencies.append(self._clock() - began - planning)
+            episode.latencies.append(time.perf_counter() - began - planning)
         if planning > 0:
             episode.plannings.append(planning)
         before = self.driver.q

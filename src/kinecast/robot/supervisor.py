@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.async_planner import AsyncPlanner
+from kinecast.robot.async_planner import LATENCY, AsyncPlanner
 from kinecast.robot.body import interpolated
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Request, options_for
@@ -270,8 +270,8 @@ class Supervisor:
             self._no_way("out of reach", now)
             return
         self._asked = now
-        stop, seconds = self.executor.stopping(self.planner.latency)
-        start_time = now + max(self.planner.latency, seconds)
+        stop, seconds = self.executor.stopping(LATENCY)
+        start_time = now + max(LATENCY, seconds)
         present = self._present() if better else None
         motions = None if self.step is Step.REST else self.people.motions(now)
         self.planner.ask(Request(options, stop, start_time, start_time - now, motions, present), now)

@@ -61,7 +61,7 @@ def request(arm: UR5, cell: Cell) -> Request:
 
 
 def test_a_plan_is_answered_after_its_latency_and_once(arm: UR5, cell: Cell) -> None:
-    planner = AsyncPlanner(Chooser(arm, cell).choose, 0.1)
+    planner = AsyncPlanner(Chooser(arm, cell).choose)
     planner.ask(request(arm, cell), 1.0)
     assert planner.pending is not None
     assert planner.answer(1.09) is None
@@ -78,7 +78,7 @@ def test_a_planner_that_raises_or_finds_nothing_is_an_answer(threaded: bool, arm
         raise ValueError("broken")
 
     for solve, crashed, words in ((broken, True, "broken"), (lambda _: NoPlan("no way"), False, "no way")):
-        planner = AsyncPlanner(solve, 0.0, threaded)
+        planner = AsyncPlanner(solve, threaded)
         planner.ask(request(arm, cell), 0.0)
         answer = None
         for _ in range(6000):

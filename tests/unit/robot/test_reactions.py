@@ -7,7 +7,7 @@ import pytest
 
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import generated_person, predictor_named, simulate_scenario
-from kinecast.robot.outcome import outcome_of
+from kinecast.robot.episode import outcome_of
 from kinecast.robot.simulated_person import ReactivePerson
 from kinecast.robot.simulation import Simulation
 from kinecast.types import Reaction, RobotState
