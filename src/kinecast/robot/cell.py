@@ -58,27 +58,17 @@ manual 3.4.5, appendix A.1: 3.19 rad/s in 0.244 s). Z_d: 95 % of fused joints ar
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Everything that stands still, in the frame of the arm's base: x to the person, z up [m].
-
-    Attributes:
-        cubes: in the order in which they are to be moved.
-        table: under arm and cubes.
-        hover: height of the fingertips above a cube before and after it is taken [m].
-        grip: how far below a cube's top the fingertips close [m].
-        rest: (3,) fingertips while nothing is to be done [m].
-        person: (4, 4) T_cell_person, where somebody at the table stands: on the floor, x forward, z up.
-        separation: constants of speed and separation monitoring.
-        delay: of the camera, from taking a shot to knowing it [s].
-    """
+    """Everything that stands still, in the frame of the arm's base: x to the person, z up [m]."""
 
     table: ClassVar[Box] = Box(np.array([0.29, 0.0, TABLE_TOP - 0.02]), np.array([1.3, 1.7, 0.04]))
-    hover: ClassVar[float] = 0.14
-    grip: ClassVar[float] = 0.015
-    rest: ClassVar[Float[np.ndarray, "3"]] = np.array([0.22, -0.42, 0.3])
-    cubes: tuple[Cube, ...] = field(default_factory=_cubes)
+    hover: ClassVar[float] = 0.14  # height of the fingertips above a cube before and after it is taken [m]
+    grip: ClassVar[float] = 0.015  # how far below a cube's top the fingertips close [m]
+    rest: ClassVar[Float[np.ndarray, "3"]] = np.array([0.22, -0.42, 0.3])  # of the fingertips, with nothing to do [m]
+    cubes: tuple[Cube, ...] = field(default_factory=_cubes)  # in the order in which they are to be moved
     person: Float[np.ndarray, "4 4"] = field(default_factory=lambda: standing_at(1.33, 0.0))
-    separation: SeparationOptions = CAMERA
-    delay: float = 0.05
+    """T_cell_person, where somebody at the table stands: on the floor, x forward, z up."""
+    separation: SeparationOptions = CAMERA  # constants of speed and separation monitoring
+    delay: float = 0.05  # of the camera, from taking a shot to knowing it [s]
 
     @property
     def order(self) -> tuple[str, ...]:

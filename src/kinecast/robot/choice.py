@@ -8,7 +8,7 @@ time less the time that the cube takes from rest with nobody there: all of them 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -50,64 +50,38 @@ ERRORS = {
 long enough, or who mind the arm. Of 160 ways in the `camera` cell, seeds 1000 to 1026 of benchmarks.collaboration."""
 
 
-@dataclass(frozen=True, eq=False)
-class Option:
-    """Something to do.
+class Option(NamedTuple):
+    """Something to do."""
 
-    Attributes:
-        step: what the way is for.
-        target: the cube; None to rest.
-        goals: (G, 6) where the way may end [rad].
-        point: (3,) where the gripper then goes down to [m]; None at rest.
-        price: of doing this rather than another, less what it takes from rest with nobody there [s].
-    """
-
-    step: Step
-    target: str | None
-    goals: Float[np.ndarray, "G 6"]
-    point: Float[np.ndarray, "3"] | None
-    price: float = 0.0
+    step: Step  # what the way is for
+    target: str | None  # the cube; None to rest
+    goals: Float[np.ndarray, "G 6"]  # where the way may end [rad]
+    point: Float[np.ndarray, "3"] | None  # where the gripper then goes down to [m]; None at rest
+    price: float = 0.0  # of doing this rather than another, less what it takes from rest with nobody there [s]
 
 
-@dataclass(frozen=True, eq=False)
-class Request:
-    """A choice wanted.
+class Request(NamedTuple):
+    """A choice wanted."""
 
-    Attributes:
-        options: to choose from, the preferred first.
-        q: (6,) where the arm will stand when it begins [rad].
-        start_time: when [s].
-        wait: from now until then [s].
-        motions: of the people from now on (kinecast.robot.motions); None: nobody is there, or nothing is known of them.
-        present: the first of the options, and (W, 6) configurations `STEP` apart in which the arm goes on with it if
-            nothing is changed [rad]; None where it must change, or stands.
-    """
-
-    options: tuple[Option, ...]
-    q: Float[np.ndarray, "6"]
-    start_time: float
-    wait: float = 0.0
+    options: tuple[Option, ...]  # to choose from, the preferred first
+    q: Float[np.ndarray, "6"]  # where the arm will stand when it begins [rad]
+    start_time: float  # when [s]
+    wait: float = 0.0  # from now until then [s]
     motions: Float[np.ndarray, "S N K 7"] | None = None
+    """Of the people from now on (kinecast.robot.motions); None: nobody is there, or nothing is known of them."""
     present: Float[np.ndarray, "W 6"] | None = None
+    """Configurations `STEP` apart in which the arm goes on with the first of the options if nothing is changed [rad];
+    None where it must change, or stands."""
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """What is best.
+class Choice(NamedTuple):
+    """What is best."""
 
-    Attributes:
-        option: chosen.
-        plan: the way; None: as before.
-        time: from now to the option's end.
-        rows: (W, 6) configurations `STEP` apart to the option's end [rad].
-        wait: until the plan is taken up, of the time; planning itself, mostly [s].
-    """
-
-    option: Option
-    plan: Trajectory | None
-    time: TravelTime
-    rows: Float[np.ndarray, "W 6"]
-    wait: float = 0.0
+    option: Option  # chosen
+    plan: Trajectory | None  # the way; None: as before
+    time: TravelTime  # from now to the option's end
+    rows: Float[np.ndarray, "W 6"]  # configurations `STEP` apart to the option's end [rad]
+    wait: float = 0.0  # until the plan is taken up, of the time; planning itself, mostly [s]
 
     @property
     def cost(self) -> float:

@@ -48,15 +48,10 @@ surface stands out from their balls by 0.24 radii, 0.014 m at most."""
 
 
 class People(NamedTuple):
-    """People beside a path, who cost time.
+    """People beside a path, who cost time: monitoring allows v(d) = √(h² + 2 a (d − C)) − h, where h = v_h + a T_r."""
 
-    Attributes:
-        capsules: (W, K, 7) where they are when each waypoint is passed.
-        separation: monitoring, which allows v(d) = √(h² + 2 a (d − C)) − h, where h = v_h + a T_r.
-    """
-
-    capsules: Float[np.ndarray, "W K 7"]
-    separation: SeparationOptions
+    capsules: Float[np.ndarray, "W K 7"]  # where they are when each waypoint is passed
+    separation: SeparationOptions  # of monitoring
 
     def price(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time lost per metre, 1/v(d) − 1/v₀, and its slope: straight on below v₀/4, and scaled by its slope there."""

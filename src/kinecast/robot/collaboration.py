@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,9 +17,7 @@ from kinecast.datasets.repair import repair
 from kinecast.datasets.synthetic import Fetch, fetching
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse, rotation_z, transform
-from kinecast.prediction.method import Method
 from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
-from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.robot.cell import Cell, standing_at
@@ -162,17 +158,11 @@ def predictor_named(name: str, people: Sequence[Person], samples: int = SAMPLES)
     if name in ("reachable", "oracle"):
         known = {person.name: person for person in people} if name == "oracle" else {}
         return lambda frame, now: _one_motion(frame, now, known.get(frame.person))
-    if name not in SHIPPED and not is_plugin(name):
+    shipped = name in SHIPPED
+    if not shipped and not is_plugin(name):
         raise OptionError(f"predictor {name!r} is none of {', '.join(PREDICTORS)}")
-    card, method = _read(name)
-    return Predictor(
-        method, card.noise, None, PredictorOptions(samples, horizon=HORIZON if name in SHIPPED else None)
-    ).observe
-
-
-@cache
-def _read(name: str) -> tuple[ModelCard, Method[Any]]:
-    return read_shipped(name) if name in SHIPPED else read_method(Path(name))
+    card, method = read_shipped(name) if shipped else read_method(Path(name))
+    return Predictor(method, card.noise, None, PredictorOptions(samples, horizon=HORIZON if shipped else None)).observe
 
 
 def _one_motion(frame: SkeletonFrame, now: float, person: Person | None) -> Prediction:
@@ -207,10 +197,8 @@ def simulate_scenario(
         cell: where; the default one.
 
     Raises:
-        OptionError: no such scenario or predictor.
+        OptionError: no such predictor.
     """
-    if name not in SCENARIOS:
-        raise OptionError(f"scenario {name!r} is none of {', '.join(SCENARIOS)}")
     scenario, cell = SCENARIOS[name], cell or Cell()
     if person is None:
         person = scripted_person(scenario, seed, cell) if scenario.fetches else generated_person(seed, cell)

@@ -35,15 +35,10 @@ RISK, TAIL = 0.2, 0.1
 
 @dataclass(frozen=True, eq=False)
 class TravelTime:
-    """When the arm will be at its path's end.
+    """When the arm will be at its path's end."""
 
-    Attributes:
-        nominal: with nobody there [s].
-        samples: (S,) beside each motion, rising [s].
-    """
-
-    nominal: float
-    samples: Float[np.ndarray, " S"]
+    nominal: float  # with nobody there [s]
+    samples: Float[np.ndarray, " S"]  # beside each motion, rising [s]
 
     @property
     def mean(self) -> float:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import count, pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -60,17 +60,11 @@ ROOM, ROOM_WORTH = 0.1, 2.0
 _ONE_SEARCH_AT_A_TIME = threading.Lock()
 
 
-@dataclass(frozen=True)
-class NoPlan:
-    """No motion was found.
+class NoPlan(NamedTuple):
+    """No motion was found."""
 
-    Attributes:
-        reason: in words.
-        crashed: whether the planner failed rather than found nothing.
-    """
-
-    reason: str
-    crashed: bool = False
+    reason: str  # in words
+    crashed: bool = False  # whether the planner failed rather than found nothing
 
 
 class Planner:

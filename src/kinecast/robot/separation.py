@@ -62,17 +62,11 @@ class Separation(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """Capsules that move.
+    """Capsules that move."""
 
-    Attributes:
-        capsules: (K, 7) start, end and radius [m]; one that is NaN is left out: nobody knows where it is.
-        velocity: (K, 6) of both ends [m/s]; NaN where not known.
-        age: (K,) of the measurements behind them [s].
-    """
-
-    capsules: Float[np.ndarray, "K 7"]
-    velocity: Float[np.ndarray, "K 6"]
-    age: Float[np.ndarray, " K"]
+    capsules: Float[np.ndarray, "K 7"]  # start, end and radius [m]; NaN, and left out, where nobody knows
+    velocity: Float[np.ndarray, "K 6"]  # of both ends [m/s]; NaN where not known
+    age: Float[np.ndarray, " K"]  # of the measurements behind them [s]
 
 
 def moving(capsules: Float[np.ndarray, "2 K 7"], seconds: float) -> Moving:

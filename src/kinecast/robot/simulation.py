@@ -12,7 +12,7 @@ from kinecast.robot.async_planner import AsyncPlanner, Solve
 from kinecast.robot.body import TRUE_BODY, body_capsules
 from kinecast.robot.cell import Cell, Cube
 from kinecast.robot.choice import Chooser
-from kinecast.robot.episode import Episode, SceneSnapshot, Tick
+from kinecast.robot.episode import Episode, Outcome, SceneSnapshot, Tick, outcome_of
 from kinecast.robot.people import occupied
 from kinecast.robot.pick_place import nearest, postures
 from kinecast.robot.separation import Moving, Separation, SeparationOptions, moving, separation
@@ -122,6 +122,10 @@ class Simulation:
         for _ in self.steps():
             pass
         return self.episode
+
+    def outcome(self) -> Outcome:
+        """Its figures so far."""
+        return outcome_of(self.episode, self.people, self.cell)
 
     def steps(self) -> Iterator[Command]:
         """Step by step; each yields what the arm was told."""

@@ -31,15 +31,10 @@ def rest_to_rest(times: Float[np.ndarray, " W"], values: Float[np.ndarray, "W D"
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Waypoints joined by a quintic spline from rest to rest: angle, speed and acceleration are continuous.
+    """Waypoints joined by a quintic spline from rest to rest: angle, speed and acceleration are continuous."""
 
-    Attributes:
-        times: (W,) increasing, W of 2 or more [s], on the clock of the frames' stamps.
-        q: (W, 6) [rad].
-    """
-
-    times: Float[np.ndarray, " W"]
-    q: Float[np.ndarray, "W 6"]
+    times: Float[np.ndarray, " W"]  # increasing, W of 2 or more [s], on the clock of the frames' stamps
+    q: Float[np.ndarray, "W 6"]  # [rad]
 
     @property
     def duration(self) -> float:
