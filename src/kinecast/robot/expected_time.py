@@ -83,20 +83,31 @@ def travel_time(
     nominal = wait + STEP * (len(q) - 1)
     if motions is None:
         return TravelTime(nominal, np.array([nominal]))
-    return TravelTime(nominal, np.sort(_roll_out(arm.capsules(q), motions, wait, options)))
+    return TravelTime(nominal, np.sort(_roll_out(_moves(arm.capsules(q)), _moves(motions), wait, options)))
+
+
+def _moves(capsules: Float[np.ndarray, "*S N K 7"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Capsules, their changes from step to step, and their velocities meanwhile."""
+    changes = np.diff(capsules, axis=-3)
+    return capsules, changes, changes[..., :6] / STEP
 
 
 @njit(cache=True)
 @no_type_check
 def _roll_out(arm, people, wait, options):
-    """(S,) times [s] of links (W, L, 7) beside capsules (S, N, K, 7)."""
-    end, count = len(arm) - 1.0, people.shape[1]
-    out = np.empty(len(people))
-    for s in range(len(people)):
+    """(S,) times [s] of the moves of links (W, L, 7) beside those of people (S, N, K, 7)."""
+    links, change, velocity = arm
+    limbs, changes, velocities = people
+    ages = np.full(links.shape[1], AGE), np.full(limbs.shape[2], AGE)
+    end, count = len(links) - 1.0, limbs.shape[1]
+    out = np.empty(len(limbs))
+    for s in range(len(out)):
         clock, rate, n = 0.0, 1.0, wait / STEP
         while clock < end and n < count - 1:
-            allowed = compare(_at(arm, clock), _at(people[s], n), options, MEASURED, 0.0)[3]
-            rate = min(allowed, rate + RISE * STEP)
+            i, k = int(clock), int(n)
+            link = Moving(links[i] + (clock - i) * change[i], velocity[i], ages[0])
+            limb = Moving(limbs[s, k] + (n - k) * changes[s, k], velocities[s, k], ages[1])
+            rate = min(compare(link, limb, options, MEASURED, True)[3], rate + RISE * STEP)
             if clock + rate >= end:
                 n += (end - clock) / rate
                 clock = end
@@ -105,12 +116,3 @@ def _roll_out(arm, people, wait, options):
                 n += 1.0
         out[s] = STEP * (n + end - clock)
     return out
-
-
-@njit(cache=True)
-@no_type_check
-def _at(capsules, time):
-    """Capsules (N, K, 7) after so many steps."""
-    n = int(time)
-    change = capsules[n + 1] - capsules[n]
-    return Moving(capsules[n] + (time - n) * change, change[:, :6] / STEP, np.full(len(change), AGE))

@@ -21,6 +21,8 @@ __all__ = ["Moving", "Separation", "SeparationOptions", "closest_points", "compa
 
 UNKNOWN = 1.6
 """v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5)."""
+STANDS = 1e-6
+"""An arm slower than this stands [m/s]."""
 OLDEST = 0.1
 """A measurement older than this does not say how fast the person is [s]."""
 
@@ -76,7 +78,7 @@ def moving(capsules: Float[np.ndarray, "2 K 7"], seconds: float) -> Moving:
 
 def separation(arm: Moving, people: Moving, options: SeparationOptions) -> Separation:
     """Compares every capsule of the arm with every capsule of the persons."""
-    return Separation(*map(float, compare(arm, people, options, 0.0, np.inf)))
+    return Separation(*map(float, compare(arm, people, options, 0.0, False)))
 
 
 @njit(cache=True)
@@ -100,31 +102,37 @@ def closest_points(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
 
 @njit(cache=True)
 @no_type_check
-def compare(arm, people, o, noise, within):
+def compare(arm, people, o, noise, scale_only):
     """The fields of a `Separation`, where a noise [m/s] adds to the speed that people seem to come with.
 
-    Pairs whose distance and margin are surely so much [m] or more are passed over.
+    Pairs that surely change nothing are passed over: of the scale, where that alone is wanted.
     """
-    distance, margin, needed, scale = within, within, 0.0, 1.0
-    for i in range(len(arm.capsules)):
-        a, va = arm.capsules[i], arm.velocity[i]
-        fastest = _fastest(va) * math.sqrt(1.0 + o.across * o.across)
-        for j in range(len(people.capsules)):
-            b, vb, age = people.capsules[j], people.velocity[j], people.age[j]
-            known = age <= OLDEST and not math.isnan(vb.sum())
-            coming = max(_fastest(vb) + noise, o.least_speed) if known else UNKNOWN
-            least = _least_distance(a, b)
+    distance = margin = 0.0 if scale_only else np.inf
+    needed, scale = 0.0, 1.0
+    links, limbs = _bounds(arm), _bounds(people)
+    for i in range(len(links)):
+        fastest = links[i, 4] * math.sqrt(1.0 + o.across * o.across)
+        if scale_only and fastest <= STANDS:
+            continue
+        for j in range(len(limbs)):
+            age = people.age[j]
+            known = age <= OLDEST and not math.isnan(limbs[j, 4])
+            coming = max(limbs[j, 4] + noise, o.least_speed) if known else UNKNOWN
+            squared = 0.0
+            for k in range(3):
+                squared += (links[i, k] - limbs[j, k]) ** 2
+            least = math.sqrt(squared) - links[i, 3] - limbs[j, 3]
             if least >= distance and least - _required(fastest, coming, age, o) >= max(margin, 0.0):
                 continue
-            way, robot, human = _approach(a, va, b, vb, o.across)
-            if math.isnan(way):
+            apart, robot, human = _approach(arm, i, people, j, o.across)
+            if math.isnan(apart):
                 continue
             human = max(human + noise if known else UNKNOWN, o.least_speed)
-            apart, asked = way - a[6] - b[6], _required(robot, human, age, o)
+            asked = _required(robot, human, age, o)
             distance = min(distance, apart)
             if apart - asked < margin:
                 margin, needed = apart - asked, asked
-            if robot > 1e-6 and apart < asked:
+            if robot > STANDS and apart < asked:
                 # The greatest v_r whose S_r + S_s and v_h T_s fit into the room left: the quadratic's root.
                 half, room = o.braking * o.reaction + human, apart - _required(0.0, human, age, o)
                 root = math.sqrt(half * half + 2.0 * o.braking * max(room, 0.0)) - half
@@ -145,28 +153,27 @@ def _required(robot, human, age, o):
 
 @njit(cache=True)
 @no_type_check
-def _fastest(velocity):
-    """Speed of a capsule's faster end [m/s]."""
-    start = velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2
-    return math.sqrt(max(start, velocity[3] ** 2 + velocity[4] ** 2 + velocity[5] ** 2))
+def _bounds(these):
+    """(K, 5) middle (3) and radius [m] of a ball around each capsule, and the speed of its faster end [m/s]."""
+    out = np.empty((len(these.capsules), 5))
+    for i in range(len(out)):
+        length = start = end = 0.0
+        for k in range(3):
+            a, b = these.capsules[i, k], these.capsules[i, 3 + k]
+            out[i, k] = 0.5 * (a + b)
+            length += (b - a) ** 2
+            start += these.velocity[i, k] ** 2
+            end += these.velocity[i, 3 + k] ** 2
+        out[i, 3] = 0.5 * math.sqrt(length) + these.capsules[i, 6]
+        out[i, 4] = math.sqrt(max(start, end)) if start + end >= 0.0 else math.nan
+    return out
 
 
 @njit(cache=True)
 @no_type_check
-def _least_distance(a, b):
-    """Below the distance of two capsules [m]: that of the balls around them."""
-    apart = length_a = length_b = 0.0
-    for k in range(3):
-        apart += (a[k] + a[3 + k] - b[k] - b[3 + k]) ** 2
-        length_a += (a[3 + k] - a[k]) ** 2
-        length_b += (b[3 + k] - b[k]) ** 2
-    return 0.5 * (math.sqrt(apart) - math.sqrt(length_a) - math.sqrt(length_b)) - a[6] - b[6]
-
-
-@njit(cache=True)
-@no_type_check
-def _approach(a, va, b, vb, across):
-    """Distance of two capsules' axes [m], and the speeds of their nearest points towards one another [m/s]."""
+def _approach(arm, i, people, j, across):
+    """Distance of two capsules [m], and the speeds of their nearest points towards one another [m/s]."""
+    a, b, va, vb = arm.capsules[i], people.capsules[j], arm.velocity[i], people.velocity[j]
     s, t = closest_points(a, b)
     squared = robot = human = speed = 0.0
     for k in range(3):
@@ -179,4 +186,4 @@ def _approach(a, va, b, vb, across):
     way = math.sqrt(squared)
     robot /= max(way, 1e-9)
     robot += across * math.sqrt(max(speed - robot * robot, 0.0))
-    return way, max(robot, 0.0), human / max(way, 1e-9)
+    return way - a[6] - b[6], max(robot, 0.0), human / max(way, 1e-9)

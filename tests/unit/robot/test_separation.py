@@ -97,7 +97,7 @@ def test_nearest_points_against_a_fine_grid() -> None:
 
 
 def test_pairs_passed_over_change_nothing() -> None:
-    """Of many capsules, the same as of each alone; and within a distance the same share of the speed."""
+    """Of many capsules, the same as of each alone; and where the share of the speed alone is wanted, the same share."""
     rng = np.random.default_rng(1)
     for _ in range(30):
         arm, people = (
@@ -111,4 +111,4 @@ def test_pairs_passed_over_change_nothing() -> None:
         worst = min(alone, key=lambda each: each.margin)
         least, scale = min(each.distance for each in alone), min(each.scale for each in alone)
         assert separation(arm, people, OPTIONS) == Separation(least, worst.required, worst.margin, scale)
-        assert compare(arm, people, OPTIONS, 0.0, 0.0)[3] == scale
+        assert compare(arm, people, OPTIONS, 0.0, True)[3] == scale
