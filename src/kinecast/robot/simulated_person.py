@@ -20,6 +20,8 @@ RATE = 30.0
 """Of the camera's shots [Hz]."""
 MARGIN, FORESIGHT = 0.06, 0.25
 """A person goes no nearer to the arm than this [m], and looks so far ahead [s]."""
+PATIENCE = 1.0
+"""How long they wait, and how long they draw back at first [s]; so much longer each time in a row."""
 CHANGE = 5.0
 """How fast they slow down and take up again, of their own speed [1/s]."""
 
@@ -58,11 +60,10 @@ class ReactivePerson:
 
     Args:
         person: what they want to do.
-        patience: how long they wait, and how long they draw back at first [s]; so much longer each time in a row.
     """
 
-    def __init__(self, person: PlayedPerson, patience: float = 1.0) -> None:
-        self.person, self.patience = person, patience
+    def __init__(self, person: PlayedPerson) -> None:
+        self.person = person
         self.name, self.joints = person.name, person.joints
         self._times, self._clocks, self._rate = [0.0], [0.0], 1.0
         self._blocked_since: float | None = None
@@ -86,10 +87,10 @@ class ReactivePerson:
         self._times.append(now)
         self._clocks.append(clock)
         waited = 0.0 if self._blocked_since is None else now - self._blocked_since
-        if clock > self._furthest + self.patience:  # they got past it
+        if clock > self._furthest + PATIENCE:  # they got past it
             self._tries, self._furthest = 1, clock
-        back = self.patience <= waited < (1 + self._tries) * self.patience
-        if waited >= (1 + self._tries) * self.patience:
+        back = PATIENCE <= waited < (1 + self._tries) * PATIENCE
+        if waited >= (1 + self._tries) * PATIENCE:
             self._blocked_since, self._tries = None, self._tries + 1
             self._furthest = max(self._furthest, clock)
         wish = -1.0 if back else 1.0

@@ -47,8 +47,9 @@ def test_gaps_in_a_recording_are_bridged() -> None:
     assert person.at(2.0)[2, 0] == pytest.approx(2.35)
 
 
-def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:
-    person = ReactivePerson(mover(), patience=9.0)
+def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kinecast.robot.simulated_person.PATIENCE", 9.0)
+    person = ReactivePerson(mover())
     for k in range(500):
         person.mind(THERE, 0.008 * k)
     reached = person.at(4.0)[2, 0]
@@ -60,7 +61,7 @@ def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() ->
 
 
 def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again() -> None:
-    person = ReactivePerson(mover(), patience=1.0)
+    person = ReactivePerson(mover())
     for k in range(1000):
         person.mind(THERE, 0.008 * k)
     hand = np.array([person.at(0.008 * k)[2, 0] for k in range(1000)])
