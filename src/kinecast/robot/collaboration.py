@@ -70,15 +70,6 @@ SCENARIOS = {
 """The paper's three demonstrations, and a person without a script."""
 
 
-def scripted_person(scenario: Scenario, seed: int, cell: Cell) -> PlayedPerson:
-    """Somebody who reaches for the scenario's cubes at its times."""
-    fetches = [
-        Fetch(start, _wrist_at(cell.cube(name).position, cell.person), hold, scenario.left)
-        for name, start, hold in scenario.fetches
-    ]
-    return _placed(fetching(fetches, 30.0, seed), cell.person)
-
-
 def generated_person(seed: int, cell: Cell) -> PlayedPerson:
     """Somebody who reaches now for a cube, now for another place on the table, and rests between."""
     rng, duration = np.random.default_rng([seed, 1]), 125.0

@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError, OptionError
+from kinecast.geometry.distances import HALF_SPACE
 from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Shape, Sphere
+from kinecast.geometry.shapes import Shape
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import LINKS, UR5
 
@@ -46,7 +47,7 @@ class CollisionChecker:
         for obstacle in self.scene.obstacles:
             if not isinstance(obstacle, Shape):
                 raise OptionError(f"the scene's {type(obstacle).__name__}: around the arm nothing may move by itself")
-            placed = self._geometry.addGeometryObject(pin.GeometryObject("obstacle", 0, *_solid(obstacle)))
+            placed = self._geometry.addGeometryObject(pin.GeometryObject("obstacle", 0, *_solid(obstacle.row)))
             pairs += [(link, placed) for link in range(FIRST_LINK + 1, len(BODIES))]
         for pair in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(*pair))
@@ -94,14 +95,10 @@ class CollisionChecker:
         return found
 
 
-def _solid(shape: Shape) -> tuple[pin.SE3, coal.ShapeBase]:
-    """An obstacle's place, and what it is to coal."""
-    rotation, center = shape.row[4:13].reshape(3, 3), shape.row[1:4]
-    if isinstance(shape, Box):
-        return pin.SE3(rotation, center), coal.Box(*map(float, shape.size))
-    if isinstance(shape, Sphere):
-        return pin.SE3(np.eye(3), center), coal.Sphere(shape.radius)
-    if isinstance(shape, Capsule):
-        return pin.SE3(rotation, center), coal.Capsule(shape.radius, float(np.linalg.norm(shape.end - shape.start)))
-    assert isinstance(shape, HalfSpace)
-    return pin.SE3.Identity(), coal.Halfspace(shape.normal, float(shape.normal @ center))
+def _solid(row: Float[np.ndarray, "17"]) -> tuple[pin.SE3, coal.ShapeBase]:
+    """Place and shape of an obstacle (kinecast.geometry.distances) for coal; a sphere is a capsule without length."""
+    center, half, radius = row[1:4], row[13:16], float(row[16])
+    if row[0] == HALF_SPACE:
+        return pin.SE3.Identity(), coal.Halfspace(row[4:7], float(row[4:7] @ center))
+    solid = coal.Capsule(radius, 2.0 * half[2]) if radius else coal.Box(*(2.0 * half))
+    return pin.SE3(row[4:13].reshape(3, 3), center), solid

@@ -95,8 +95,6 @@ class Planner:
         Returns:
             A motion that was checked, from rest to rest, or why there is none.
         """
-        if not np.isfinite(q).all():
-            return NoPlan("the arm's state is not known")
         if self.checker.touched(q):
             return NoPlan("the arm touches the scene or itself")
         if len(goals) == 0:
@@ -246,7 +244,7 @@ def _along(
     keep = np.concatenate([[True], legs > 0])
     along = np.concatenate([[0.0], np.cumsum(legs)])[keep]
     share = minimum_jerk(waypoints) * along[-1]
-    path = np.stack([np.interp(share, along, column) for column in corners[keep].T], axis=1)
+    path = interpolated(share, along, corners[keep])
     return path, start_time + np.linspace(0.0, _duration(np.abs(np.diff(path, axis=0)).sum(axis=0)), waypoints)
 
 

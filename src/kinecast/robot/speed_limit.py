@@ -13,7 +13,7 @@ from kinecast.robot.people import PeopleModel
 from kinecast.robot.separation import Separation, SeparationOptions, moving, separation
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Level", "LimitReason", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
+__all__ = ["LimitReason", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
 
 SILENCE = 0.2
 """Without a shot for this long, nobody knows who is there [s]."""
@@ -41,6 +41,8 @@ class LimitReason(Enum):
     UNSEEN = "Somebody is there whose arms were never seen."
 
 
+HELD, SLOW, FULL = range(3)
+"""How fast it has been going for a while."""
 BLIND = {LimitReason.SILENCE, LimitReason.UNSEEN}
 """Nobody knows where somebody is."""
 
@@ -88,16 +90,8 @@ def speed_limit(
         limits.append((0.0, LimitReason.SILENCE))
     if people.unseen():
         limits.append((0.0, LimitReason.UNSEEN))
-    least = min(limit for limit, _ in limits)
-    return SpeedLimit(least, [reason for limit, reason in limits if limit <= least][-1], present)
-
-
-class Level(Enum):
-    """How fast it has been going for a while."""
-
-    HELD = "not at all"
-    SLOW = "more slowly"
-    FULL = "at full speed"
+    least, reason = min(reversed(limits), key=lambda each: each[0])
+    return SpeedLimit(least, reason, present)
 
 
 class SpeedHysteresis:
@@ -105,21 +99,21 @@ class SpeedHysteresis:
 
     def __init__(self) -> None:
         self.speed = 0.0
-        self.level, self.reason = Level.FULL, LimitReason.NOTHING
+        self.level, self.reason = FULL, LimitReason.NOTHING
         self._now, self._since = 0.0, -float("inf")
 
     def begin(self) -> None:
         """On a new path, which begins gently by itself."""
         self.speed = 1.0
-        self.level, self._since = Level.FULL, self._now
+        self.level, self._since = FULL, self._now
 
     def update(self, limit: SpeedLimit, most: float, now: float) -> None:
         """Takes in what holds the arm back, and the share that it may go at for other reasons too [0..1]."""
         self.speed = min(most, self.speed + RISE * (now - self._now))
         self._now = now
-        level = Level.FULL if limit.speed > FREE else Level.SLOW if limit.speed > STILL else Level.HELD
+        level = (limit.speed > STILL) + (limit.speed > FREE)
         same = level is self.level and limit.reason is self.reason
-        braked = level is Level.HELD or (level is Level.SLOW and self.level is Level.FULL and limit.speed < BRAKED)
+        braked = level is HELD or (level is SLOW and self.level is FULL and limit.speed < BRAKED)
         blind = BLIND & {self.reason, limit.reason}
         if same or braked or blind or now - self._since >= SETTLE:
             self.level, self.reason, self._since = level, limit.reason, now

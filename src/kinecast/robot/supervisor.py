@@ -27,7 +27,7 @@ from kinecast.robot.motions import STEP
 from kinecast.robot.people import CameraFrame, PeopleModel
 from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, TaskSequence, straight
 from kinecast.robot.separation import Separation
-from kinecast.robot.speed_limit import BLIND, MOMENT, Level, LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
+from kinecast.robot.speed_limit import BLIND, HELD, MOMENT, SLOW, LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Decision, Prediction, Reaction, RobotState
@@ -42,7 +42,7 @@ RETRY, ATTEMPTS = 0.5, 3
 """After a search that failed [s]; and so often a place is tried that cannot be reached."""
 EVADE = 2.0
 """Held back for this long by somebody who comes to where it stands, the arm draws back [s] (docs/decisions/0028)."""
-HELD = 0.1
+STUCK = 0.1
 """Share of the planned speed below which it does not get anywhere."""
 NEAR_ENOUGH = 0.05
 """A path is followed from where the arm stands if it begins no farther away than this [rad]."""
@@ -169,7 +169,7 @@ class Supervisor:
 
     def _evade(self, now: float) -> None:
         """Draws back where it is held for long, and takes its step up again from there."""
-        held = self._limit.speed < HELD and self._limit.reason in (LimitReason.DOUBT, LimitReason.SEPARATION)
+        held = self._limit.speed < STUCK and self._limit.reason in (LimitReason.DOUBT, LimitReason.SEPARATION)
         if not held or self.step not in AFTER_EVADING:
             self._held_since = None
         elif self._held_since is None:
@@ -356,7 +356,7 @@ class Supervisor:
 
     def _state(self) -> RobotState:
         has_path, going = self._trajectory is not None, self._going
-        held = has_path and going.level is Level.HELD
+        held = has_path and going.level is HELD
         if going.reason in BLIND or (held and going.reason is LimitReason.SEPARATION):
             return RobotState.STOPPED
         if not self.sequence.remaining and self.step is Step.REST and not has_path:
@@ -367,7 +367,7 @@ class Supervisor:
             return HANDLING[self.step]
         if held or not has_path:
             return RobotState.WAITING
-        return RobotState.SLOWED if going.level is Level.SLOW else RobotState.MOVING
+        return RobotState.SLOWED if going.level is SLOW else RobotState.MOVING
 
     def _reason(self, state: RobotState, reaction: Reaction | None) -> str:
         """Why, in a sentence."""

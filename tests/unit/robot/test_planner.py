@@ -111,7 +111,6 @@ def test_why_there_is_no_plan_is_said_in_words(planner: Planner) -> None:
     usual = {"q": HOME, "goals": AWAY[None], "start_time": 0.0}
     for reason, change in (
         ("the goal is out of reach", {"goals": np.empty((0, 6))}),
-        ("the arm's state is not known", {"q": np.full(6, np.nan)}),
         ("the goal is blocked by the scene or the arm itself", {"goals": under[None]}),
         ("the arm touches the scene or itself", {"q": under}),
     ):
