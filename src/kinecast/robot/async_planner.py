@@ -10,8 +10,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from kinecast.robot.choice import Choice, Request
 from kinecast.robot.planner import NoPlan
 
-__all__ = ["LATENCY", "AsyncPlanner", "Solve"]
-
 log = logging.getLogger(__name__)
 
 LATENCY = 0.1

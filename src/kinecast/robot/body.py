@@ -13,8 +13,6 @@ from jaxtyping import Float, Int
 
 from kinecast.geometry.transforms import lengths
 
-__all__ = ["HAND_LENGTH", "MEASURED_BODY", "PARTS", "TRUE_BODY", "body_capsules", "held", "interpolated"]
-
 PARTS = (
     "left_upper_arm", "left_forearm", "left_hand", "right_upper_arm", "right_forearm", "right_hand",
     "shoulders", "trunk", "head",

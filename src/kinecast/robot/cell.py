@@ -18,8 +18,6 @@ from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box
 from kinecast.robot.separation import SeparationOptions
 
-__all__ = ["CELLS", "Cell", "Cube", "cell_named"]
-
 TABLE_TOP = -0.02
 """Height of the table's surface [m]: the arm stands on a plate, whose top is the origin."""
 TABLE_HEIGHT = 0.9

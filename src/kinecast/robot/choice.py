@@ -24,9 +24,6 @@ from kinecast.robot.planner import SPEED, NoPlan, Planner
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Choice", "Chooser", "Option", "Request", "grasp_rows", "options_for"]
-
-
 WORTH = 0.3
 """A loss below this is not worth another plan [s]."""
 GAIN, CHANGE = 0.8, 0.4

@@ -24,8 +24,6 @@ from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import minimum_jerk, rest_to_rest
 from kinecast.robot.ur5 import LINKS, UR5, fixed_places
 
-__all__ = ["Chomp", "People"]
-
 OBSTACLE_STEP, SMOOTH_STEP = 2.0, 0.03
 """Step sizes η of the two costs."""
 LARGEST_CHANGE = 0.1

@@ -20,12 +20,10 @@ from kinecast.geometry.transforms import apply, inverse, rotation_z, transform
 from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
 from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.robot.cell import Cell, standing_at
+from kinecast.robot.cell import Cell, Cube, standing_at
 from kinecast.robot.simulated_person import Camera, Person, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.types import Prediction, SkeletonFrame, Status
-
-__all__ = ["PREDICTORS", "SCENARIOS", "generated_person", "predictor_named", "replayed_person", "simulate_scenario"]
 
 PREDICTORS = ("kinecast", "gp_constrained", "damped_velocity", "zero_velocity", "reachable", "oracle", "none")
 """What can predict the person: shipped methods; all they can reach; the truth; nothing."""
@@ -74,16 +72,16 @@ def generated_person(seed: int, cell: Cell) -> PlayedPerson:
     """Somebody who reaches now for a cube, now for another place on the table, and rests between."""
     rng, duration = np.random.default_rng([seed, 1]), 125.0
     placement = standing_at(float(cell.person[0, 3] + rng.uniform(-0.05, 0.05)), float(rng.uniform(-0.12, 0.12)))
-    now, fetches = float(rng.uniform(0.2, 2.0)), []
+    now, reaches = float(rng.uniform(0.2, 2.0)), []
     while now < duration:
         if rng.random() < 0.75:
             place = cell.cube(str(rng.choice(cell.order))).position + rng.uniform(-0.02, 0.02, 3) * [1, 1, 0]
         else:
             place = np.array([rng.uniform(0.55, 0.75), rng.uniform(-0.4, 0.4), cell.cubes[0].position[2]])
         hold = float(rng.uniform(0.3, 1.8))
-        fetches.append(Fetch(now, _wrist_at(place, placement), hold))
+        reaches.append((now, place, hold))
         now += hold + float(rng.uniform(2.0, 5.0))
-    return _placed(fetching(fetches, duration, seed), placement)
+    return _reaching(reaches, placement, duration, seed)
 
 
 def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
@@ -121,9 +119,17 @@ def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
     return replace(person, positions=np.where(seen, smooth, np.nan))
 
 
-def _wrist_at(place: Float[np.ndarray, "3"], placement: Float[np.ndarray, "4 4"]) -> np.ndarray:
-    """Where a wrist is, in the person's frame, whose hand is at a place on the table."""
-    return np.array(apply(inverse(placement), place + np.array([0.0, 0.0, PALM - 0.025])))
+def _reaching(
+    reaches: Sequence[tuple[float, np.ndarray, float]],
+    placement: Float[np.ndarray, "4 4"],
+    duration: float,
+    seed: int,
+    left: bool = False,
+) -> PlayedPerson:
+    """Somebody whose hand is at places on the table: start [s], place (3,) [m] and hold [s] of each."""
+    above, T_person_cell = np.array([0.0, 0.0, PALM - Cube.size / 2]), inverse(placement)
+    fetches = [Fetch(start, apply(T_person_cell, place + above), hold, left) for start, place, hold in reaches]
+    return _placed(fetching(fetches, duration, seed), placement)
 
 
 def _placed(recording: Recording, placement: Float[np.ndarray, "4 4"], name: str = "0") -> PlayedPerson:
@@ -191,8 +197,10 @@ def simulate_scenario(
         OptionError: no such predictor.
     """
     scenario, cell = SCENARIOS[name], cell or Cell()
-    if person is None:
-        person = scripted_person(scenario, seed, cell) if scenario.fetches else generated_person(seed, cell)
+    if person is None and scenario.fetches:
+        reaches = [(start, cell.cube(cube).position, hold) for cube, start, hold in scenario.fetches]
+        person = _reaching(reaches, cell.person, 30.0, seed, scenario.left)
+    person = person or generated_person(seed, cell)
     people: list[Person] = [person if scenario.fetches else ReactivePerson(person)]
     predict = predictor_named(predictor, people, samples)
     return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, level)

@@ -18,8 +18,6 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["FIRST_LINK", "CollisionChecker"]
-
 LOOKS = (0.01, 0.002)
 """Largest ways of any point of the arm between two looks at a motion [m]; the second in tight passages."""
 FIRST_LINK = LINKS.index("upper_arm")

@@ -20,8 +20,6 @@ from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.simulated_person import Person
 from kinecast.types import Decision, Reaction, RobotState
 
-__all__ = ["Episode", "Outcome", "SceneSnapshot", "Tick", "outcome_of", "write_episodes"]
-
 MOVES = 0.01
 """The arm moves while any point of it does, faster than this [m/s]."""
 LONG_ENOUGH = 0.25

@@ -33,8 +33,6 @@ try:
 except ImportError as error:
     raise MissingExtraError("drawing", "train") from error
 
-__all__ = ["animate_episode", "draw_storyboard", "draw_timeline", "key_moments"]
-
 REGION, REGION_EDGE = "#ffd23c", "#d99a00"
 ARM, GRIPPER, EDGE = "#c3cad3", "#5d6875", "#39424e"
 HELD = 0.9

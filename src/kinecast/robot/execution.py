@@ -23,8 +23,6 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["Executor", "within_limits"]
-
 SHARE = np.array([0.9, 0.6, 0.4])
 """Of the arm's speed, acceleration and jerk that a motion may use by itself: the rest is for changes of its clock."""
 STANDS = 1e-3

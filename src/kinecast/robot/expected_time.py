@@ -21,8 +21,6 @@ from kinecast.robot.motions import STEP
 from kinecast.robot.separation import Moving, SeparationOptions, compare
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["RISE", "TravelTime", "travel_time"]
-
 RISE = 3.0
 """How fast the clock may speed up again [1/s]."""
 MEASURED = 0.1

@@ -17,8 +17,6 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.body import body_capsules, interpolated
 from kinecast.types import Prediction, Status
 
-__all__ = ["STEP", "PoseHistory", "arms_at_stamp", "is_trusted", "motions_of"]
-
 STEP = 0.1
 """Between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]."""
 STALE_AFTER = 0.1

@@ -17,8 +17,6 @@ from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted, motio
 from kinecast.robot.separation import Moving
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["CameraFrame", "PeopleModel", "occupied", "reach_probabilities"]
-
 SLOPE = 0.14
 """Span of the measurements over which a joint's speed is taken [s]."""
 FORGET = 0.5
@@ -35,7 +33,6 @@ MOST_SAMPLES = 100
 MOMENT = 1e-5
 """Capsules' velocities are those of their joints over so long [s]."""
 ARM_PARTS = ("shoulder", "elbow", "wrist")
-
 
 NOBODY = Moving(np.empty((0, 7)), np.empty((0, 6)), np.empty(0))
 

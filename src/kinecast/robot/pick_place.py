@@ -13,8 +13,6 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["GraspConfigurations", "Step", "TaskSequence", "nearest", "postures", "straight"]
-
 VERTICAL = 0.5
 """Greatest speed of the straight ways down and up [m/s]."""
 DWELL = 0.25

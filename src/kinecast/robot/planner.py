@@ -30,8 +30,6 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["SPEED", "NoPlan", "Planner", "searched"]
-
 LIMITS = SPEED, ACCELERATION, JERK = np.array([1.57, 4.0, 75.0])
 """Greatest of an angle [rad/s, rad/s^2, rad/s^3]: half of the speed that the arm can do, as beside people nothing is
 gained by more; less than half of its acceleration and jerk, the rest is for braking."""

@@ -19,8 +19,6 @@ from jaxtyping import Float
 
 from kinecast.errors import ArmError
 
-__all__ = ["PORT", "Reading", "Rtde"]
-
 PORT = 30004
 RATES = {"CB3": 125.0, "e-Series": 500.0}
 """Of the controllers' real-time loops [Hz]."""

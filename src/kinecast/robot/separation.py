@@ -17,8 +17,6 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-__all__ = ["Moving", "Separation", "SeparationOptions", "closest_points", "compare", "moving", "separation"]
-
 UNKNOWN = 1.6
 """v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5)."""
 STANDS = 1e-6

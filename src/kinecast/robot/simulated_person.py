@@ -14,8 +14,6 @@ from kinecast.robot.people import CameraFrame
 from kinecast.robot.separation import Moving, SeparationOptions, moving, separation
 from kinecast.types import SkeletonFrame
 
-__all__ = ["Camera", "Person", "PlayedPerson", "ReactivePerson"]
-
 RATE = 30.0
 """Of the camera's shots [Hz]."""
 MARGIN, FORESIGHT = 0.06, 0.25

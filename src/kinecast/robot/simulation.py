@@ -21,8 +21,6 @@ from kinecast.robot.supervisor import Command, Supervisor
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["Predict", "SimulatedDriver", "Simulation"]
-
 Predict = Callable[[SkeletonFrame, float], Prediction | None]
 """Takes a frame and the present time; None where nothing is predicted."""
 

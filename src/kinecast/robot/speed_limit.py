@@ -13,8 +13,6 @@ from kinecast.robot.people import PeopleModel
 from kinecast.robot.separation import Separation, SeparationOptions, moving, separation
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["LimitReason", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
-
 SILENCE = 0.2
 """Without a shot for this long, nobody knows who is there [s]."""
 DOUBT = 0.75

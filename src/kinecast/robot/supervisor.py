@@ -32,8 +32,6 @@ from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Decision, Prediction, Reaction, RobotState
 
-__all__ = ["Command", "Supervisor"]
-
 log = logging.getLogger(__name__)
 
 AGAIN = 0.3

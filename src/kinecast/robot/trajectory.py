@@ -10,8 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline, make_interp_spline
 
-__all__ = ["Trajectory", "minimum_jerk", "rest_to_rest"]
-
 
 def minimum_jerk(count: int) -> Float[np.ndarray, " count"]:
     """(count,) shares 10 s³ − 15 s⁴ + 6 s⁵ of the way from rest to rest of least jerk, evenly spaced in time.

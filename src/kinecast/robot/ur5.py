@@ -23,8 +23,6 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["LINKS", "UR5", "fixed_places"]
-
 LINKS = (
     "shoulder", "upper_arm", "elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "palm", "left_finger", "right_finger",
 )  # fmt: skip

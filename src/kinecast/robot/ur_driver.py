@@ -17,8 +17,6 @@ from kinecast.errors import ArmError, OptionError
 from kinecast.robot.rtde import PORT, Reading, Rtde
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["ArmStatus", "CycleCounters", "UrDriver", "trouble"]
-
 PATIENCE = 0.1
 """After so long without the other side [s] an arm that has to be told again stands; so does the program's own."""
 LEAD = 0.4
