@@ -8,7 +8,6 @@ back after as long as they did before, who rests begins as often. Nothing is tra
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -73,7 +72,27 @@ class PoseHistory:
         self._newest = stamp
         self._poses.append(arms)
 
-    def carry_on(
+    def ahead(self, prediction: Prediction, now: float, rng: np.random.Generator) -> Float[np.ndarray, "S N 9 7"]:
+        """Possible motions from now [s] on: as predicted to the horizon, then as the person went on before.
+
+        Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
+
+        Returns:
+            Capsules (kinecast.robot.body) in S samples at N instants, `STEP` apart.
+        """
+        times, samples = prediction.times, prediction.samples
+        if not is_trusted(prediction, now):
+            samples = np.tile(arms_at_stamp(prediction), (1, len(times), 1, 1))
+        samples = samples[np.arange(SAMPLES) * len(samples) // SAMPLES]
+        instants = now + STEP * np.arange(round(AHEAD / STEP) + 1)
+        first = instants <= times[-1] + 1e-9
+        predicted = interpolated(instants[first], times, samples.swapaxes(0, 1)).swapaxes(0, 1)
+        last, before = samples[:, -1], max(len(times) - 4, 0)
+        velocity = (last - samples[:, before]) / max(times[-1] - times[before], 1e-9)
+        later = self._carry_on(last, velocity, int((~first).sum()), rng)
+        return body_capsules(ARM_JOINTS, np.concatenate([predicted, later], axis=1))
+
+    def _carry_on(
         self,
         pose: Float[np.ndarray, "S 6 3"],
         velocity: Float[np.ndarray, "S 6 3"],
@@ -125,34 +144,3 @@ def _alike(
     nearest = np.argpartition(square, min(ALIKE, len(usable) - 1), axis=1)[:, :ALIKE]
     moment = np.take_along_axis(nearest, rng.integers(nearest.shape[1], size=(len(pose), 1)), axis=1)[:, 0]
     return moment, square[np.arange(len(pose)), moment] > 6 * NEW**2
-
-
-def motions_of(
-    predictions: Sequence[Prediction], histories: Sequence[PoseHistory], now: float
-) -> Float[np.ndarray, "S N K 7"]:
-    """Possible motions of several people from now [s] on, one prediction and one past each.
-
-    Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
-
-    Returns:
-        Everybody's capsules in S samples at N instants, `STEP` apart.
-    """
-    rng = np.random.default_rng(round(1e3 * now))
-    each = (_arms(prediction, history, now, rng) for prediction, history in zip(predictions, histories, strict=True))
-    return np.concatenate([body_capsules(ARM_JOINTS, arms) for arms in each], axis=2)
-
-
-def _arms(
-    prediction: Prediction, history: PoseHistory, now: float, rng: np.random.Generator
-) -> Float[np.ndarray, "S N 6 3"]:
-    """One person's arms from now on: as predicted to the horizon, then as they went on before."""
-    times, samples = prediction.times, prediction.samples
-    if not is_trusted(prediction, now):
-        samples = np.tile(arms_at_stamp(prediction), (1, len(times), 1, 1))
-    samples = samples[np.arange(SAMPLES) * len(samples) // SAMPLES]
-    instants = now + STEP * np.arange(round(AHEAD / STEP) + 1)
-    first = instants <= times[-1] + 1e-9
-    predicted = interpolated(instants[first], times, samples.swapaxes(0, 1)).swapaxes(0, 1)
-    last, before = samples[:, -1], max(len(times) - 4, 0)
-    velocity = (last - samples[:, before]) / max(times[-1] - times[before], 1e-9)
-    return np.concatenate([predicted, history.carry_on(last, velocity, int((~first).sum()), rng)], axis=1)

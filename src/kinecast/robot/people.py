@@ -13,7 +13,7 @@ from kinecast.body.skeleton import ARM_JOINTS, arms_of
 from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.shapes import Sphere
 from kinecast.robot.body import HAND_LENGTH, MEASURED_BODY, body_capsules, held, interpolated
-from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted, motions_of
+from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted
 from kinecast.robot.separation import Moving
 from kinecast.types import Prediction, SkeletonFrame
 
@@ -87,8 +87,9 @@ class PeopleModel:
 
     def motions(self, now: float) -> Float[np.ndarray, "S N K 7"] | None:
         """What everybody may do in the next seconds (kinecast.robot.motions); None where nothing is predicted."""
-        histories = [self._tracks[each.person].history for each in self.predictions]
-        return motions_of(self.predictions, histories, now) if histories else None
+        rng = np.random.default_rng(round(1e3 * now))
+        each = [self._tracks[one.person].history.ahead(one, now, rng) for one in self.predictions]
+        return np.concatenate(each, axis=2) if each else None
 
     def taken(self, cubes: Mapping[str, Float[np.ndarray, "3"]], now: float) -> dict[str, float]:
         """Probability that somebody reaches for each of the cubes, given where they are [m]; 1 where a hand is."""

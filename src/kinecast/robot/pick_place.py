@@ -82,10 +82,10 @@ class TaskSequence:
         self.remaining.remove(name)
         self.placed[name] = now
 
-    def give_up(self, name: str) -> None:
-        """The cube cannot be had."""
-        self.remaining.remove(name)
-        self.given_up.append(name)
+    def give_up(self) -> None:
+        """What is left cannot be had."""
+        self.given_up += self.remaining
+        self.remaining.clear()
 
 
 def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.0) -> Float[np.ndarray, "B 6"]:
@@ -117,18 +117,15 @@ def nearest(
     rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"], q_range: Float[np.ndarray, "6 2"], most: int = 8
 ) -> Float[np.ndarray, "G 6"]:
     """The postures soonest reached from q [rad], with the full turns within range that bring each nearest."""
-    turns = np.round((q - rows) / (2 * np.pi)) * 2 * np.pi
-    turned = rows + turns
+    turned = rows + np.round((q - rows) / (2 * np.pi)) * 2 * np.pi
     turned = np.where((turned < q_range[:, 0]) | (turned > q_range[:, 1]), rows, turned)
     way = np.abs(turned - q).max(axis=1, initial=0.0)  # the joint with the longest way says how long it takes
-    first: Float[np.ndarray, "G 6"] = turned[np.argsort(way, kind="stable")[:most]]
-    return first
+    return np.asarray(turned[np.argsort(way, kind="stable")[:most]])
 
 
 def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " B"]:
     """Largest change of an angle from q to each row, full turns aside."""
-    largest: Float[np.ndarray, " B"] = np.abs((rows - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1, initial=0.0)
-    return largest
+    return np.asarray(np.abs((rows - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1, initial=0.0))
 
 
 def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], start_time: float) -> Trajectory | None:

@@ -326,8 +326,7 @@ class Supervisor:
         self._trouble, self._not_before = f"No path: {reason}.", now + RETRY
         if self._failures >= ATTEMPTS and self.step in (Step.REACH, Step.REST):
             if self.step is Step.REACH:
-                while self.sequence.remaining:
-                    self.sequence.give_up(self.sequence.remaining[0])
+                self.sequence.give_up()
                 self.target = None
             self._stand(Step.NONE if self.step is Step.REACH else Step.REST)
 

@@ -10,7 +10,7 @@ from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Chooser, Option, Request
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime, travel_time
-from kinecast.robot.motions import AHEAD, STEP, PoseHistory, motions_of
+from kinecast.robot.motions import AHEAD, STEP, PoseHistory
 from kinecast.robot.pick_place import GraspConfigurations, Step
 from kinecast.robot.planner import NoPlan
 from kinecast.robot.ur5 import UR5
@@ -30,7 +30,7 @@ def people(x: float, y: float = 0.0, samples: int = 5) -> Prediction:
 
 
 def motions(x: float, y: float = 0.0) -> np.ndarray:
-    return motions_of([people(x, y)], [PoseHistory()], 0.0)
+    return PoseHistory().ahead(people(x, y), 0.0, np.random.default_rng(0))
 
 
 def way(arm: UR5) -> np.ndarray:
@@ -94,11 +94,11 @@ def test_a_person_goes_on_as_they_did_before() -> None:
         out = max(np.sin(np.pi * ((k * STEP) % 3.0 - 2.0)), 0.0) if (k * STEP) % 3.0 > 2.0 else 0.0
         history.add(k * STEP, ARMS + out * reach)
     out = ARMS + reach
-    carried = history.carry_on(out[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 30, np.random.default_rng(0))
+    carried = history._carry_on(out[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 30, np.random.default_rng(0))
     away = np.linalg.norm(carried[:, :, 2] - ARMS[2], axis=-1)
     assert away[:, 10].mean() < 0.05, "drawn back after a second, as ever"
     assert away[:, 11:].max() > 0.25, "and out again"
-    rested = history.carry_on(ARMS[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 10, np.random.default_rng(0))
+    rested = history._carry_on(ARMS[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 10, np.random.default_rng(0))
     begun = np.linalg.norm(rested[:, :, 2] - ARMS[2], axis=-1).max(axis=1) > 0.1
     assert 0.2 < begun.mean() < 0.8, "who rests begins within a second about as often as before"
 
@@ -106,11 +106,11 @@ def test_a_person_goes_on_as_they_did_before() -> None:
 def test_without_a_past_they_stand_and_what_is_new_returns() -> None:
     history, now = PoseHistory(), ARMS[None] - np.array([0.5, 0.0, 0.0])
     still = np.zeros((1, 6, 3))
-    np.testing.assert_array_equal(history.carry_on(now, still, 5, np.random.default_rng(0)), now[:, None].repeat(5, 1))
+    np.testing.assert_array_equal(history._carry_on(now, still, 5, np.random.default_rng(0)), now[:, None].repeat(5, 1))
     history.add(0.0, np.full((6, 3), np.nan))
     for k in range(10):
         history.add(k * STEP, ARMS)
-    later = history.carry_on(now, still, 40, np.random.default_rng(0))[0, -1]
+    later = history._carry_on(now, still, 40, np.random.default_rng(0))[0, -1]
     assert np.abs(later - ARMS).max() < 0.02
 
 

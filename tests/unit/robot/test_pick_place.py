@@ -46,9 +46,10 @@ def test_a_probability_between_the_thresholds_changes_nothing() -> None:
 
 def test_what_is_given_up_is_left_no_more() -> None:
     sequence = TaskSequence(ORDER)
-    sequence.give_up("red")
-    assert sequence.remaining == ["green", "blue"]
-    assert sequence.given_up == ["red"]
+    sequence.finish("green", 0.0)
+    sequence.give_up()
+    assert sequence.remaining == []
+    assert sequence.given_up == ["red", "blue"]
 
 
 def test_straight_lines_are_straight_and_keep_the_tool_turned(arm: UR5) -> None:
