@@ -12,8 +12,7 @@ from kinecast.robot.planner import NoPlan
 
 log = logging.getLogger(__name__)
 
-LATENCY = 0.1
-"""How long a plan takes [s]; in a thread, how long it is likely to take."""
+LATENCY = 0.1  # how long a plan takes [s]; in a thread, how long it is likely to take
 Solve = Callable[[Request], Choice | NoPlan]
 """Chooses (kinecast.robot.choice)."""
 

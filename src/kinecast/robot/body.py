@@ -23,8 +23,7 @@ _NAMES = (
 )  # fmt: skip
 STARTS, ENDS = [0, 1, 2, 3, 4, 5, 0, 8, 10], [1, 2, 6, 4, 5, 7, 3, 9, 10]
 """Of the `PARTS`: rows of both arms, fingers (6, 7), mid-shoulders, hips and head."""
-HAND_LENGTH = 0.10
-"""From the wrist to the middle of the fingers [m]: half of a hand of 0.20 m."""
+HAND_LENGTH = 0.10  # from the wrist to the middle of the fingers [m]: half of a hand of 0.20 m
 HIPS_AND_HEAD = np.array([[0.0, 0.0, -0.50], [0.0, 0.0, 0.25]])
 """From mid-shoulders down to the hips and up to the middle of the head [m]."""
 MEASURED_BODY = np.array([0.10, 0.07, 0.10, 0.10, 0.07, 0.10, 0.13, 0.18, 0.14])

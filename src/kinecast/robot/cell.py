@@ -18,10 +18,8 @@ from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box
 from kinecast.robot.separation import SeparationOptions
 
-TABLE_TOP = -0.02
-"""Height of the table's surface [m]: the arm stands on a plate, whose top is the origin."""
-TABLE_HEIGHT = 0.9
-"""Of the surface above the floor [m]."""
+TABLE_TOP = -0.02  # height of the table's surface [m]: the arm stands on a plate, whose top is the origin
+TABLE_HEIGHT = 0.9  # of the surface above the floor [m]
 
 
 @dataclass(frozen=True, eq=False)

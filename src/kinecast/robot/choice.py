@@ -24,8 +24,7 @@ from kinecast.robot.planner import SPEED, NoPlan, Planner
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
-WORTH = 0.3
-"""A loss below this is not worth another plan [s]."""
+WORTH = 0.3  # a loss below this is not worth another plan [s]
 GAIN, CHANGE = 0.8, 0.4
 """Another way must be sooner by this, another cube by so much more [s]: predictions flicker."""
 ORDER, TAKEN = 0.3, 2.0

@@ -24,16 +24,12 @@ from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import minimum_jerk, rest_to_rest
 from kinecast.robot.ur5 import LINKS, UR5, fixed_places
 
-OBSTACLE_STEP, SMOOTH_STEP = 2.0, 0.03
-"""Step sizes η of the two costs."""
-LARGEST_CHANGE = 0.1
-"""Of an angle in one iteration [rad]."""
-SCENE_ZONE, PERSON_ZONE = 0.05, 0.10
-"""The cost rises so far beyond the margin of the scene and of a person [m]."""
+OBSTACLE_STEP, SMOOTH_STEP = 2.0, 0.03  # step sizes η of the two costs
+LARGEST_CHANGE = 0.1  # of an angle in one iteration [rad]
+SCENE_ZONE, PERSON_ZONE = 0.05, 0.10  # the cost rises so far beyond the margin of the scene and of a person [m]
 WANTED = 1.0
 """Speed v₀ of a body point that the arm wants beside people [m/s]: about what it reaches on the way to a cube."""
-TIME_WEIGHT = 0.3
-"""Of the time lost beside people, next to what is in the way."""
+TIME_WEIGHT = 0.3  # of the time lost beside people, next to what is in the way
 ITERATIONS, ITERATIONS_BESIDE = (10, 100), (25, 40)
 """Least and most; it stops between the two once the margins are kept. The second are beside people."""
 PATIENCE, PROGRESS = 20, 1e-3

@@ -27,17 +27,14 @@ from kinecast.types import Prediction, SkeletonFrame, Status
 
 PREDICTORS = ("kinecast", "gp_constrained", "damped_velocity", "zero_velocity", "reachable", "oracle", "none")
 """What can predict the person: shipped methods; all they can reach; the truth; nothing."""
-SAMPLES = 200
-"""Drawn per prediction."""
-DT, STEPS = 1 / 30, 15
-"""Of predictions that no method makes."""
+SAMPLES = 200  # drawn per prediction
+DT, STEPS = 1 / 30, 15  # of predictions that no method makes
 HORIZON = DT * STEPS
 """Of shipped methods [s]: their whole second gains nothing here (docs/decisions/0029-one-second.md)."""
 SMOOTH = 6.0
 """What limbs do lies below this frequency [Hz], above it is the tracker's noise (D. A. Winter, Biomechanics and Motor
 Control of Human Movement, 2009, 3.4.4: cut-offs of 4 to 8 Hz)."""
-PALM = 0.09
-"""A wrist is this far above a cube that its hand takes [m]."""
+PALM = 0.09  # a wrist is this far above a cube that its hand takes [m]
 
 
 @dataclass(frozen=True)

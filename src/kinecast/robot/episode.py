@@ -20,15 +20,12 @@ from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.simulated_person import Person
 from kinecast.types import Decision, Reaction, RobotState
 
-MOVES = 0.01
-"""The arm moves while any point of it does, faster than this [m/s]."""
-LONG_ENOUGH = 0.25
-"""A standstill on the way is a stop from this duration on [s]."""
+MOVES = 0.01  # the arm moves while any point of it does, faster than this [m/s]
+LONG_ENOUGH = 0.25  # a standstill on the way is a stop from this duration on [s]
 SOON, NEAR = 1.0, 0.27
 """A person did reach for a cube if a wrist came this near to it [m], hand and fingers included, within so long [s]."""
 ON_THE_WAY = {RobotState.WAITING, RobotState.STOPPED, RobotState.REPLANNING}
-EVERY = 5
-"""Control steps between two rows of the timeline in episode.json: 25 a second."""
+EVERY = 5  # control steps between two rows of the timeline in episode.json: 25 a second
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,8 @@ except ImportError as error:
 
 REGION, REGION_EDGE = "#ffd23c", "#d99a00"
 ARM, GRIPPER, EDGE = "#c3cad3", "#5d6875", "#39424e"
-HELD = 0.9
-"""Share of the predicted wrists that the region holds."""
-WIDE, HIGH = (-0.92, 1.12), (-0.60, 0.98)
-"""What the picture shows [m on the page]."""
+HELD = 0.9  # share of the predicted wrists that the region holds
+WIDE, HIGH = (-0.92, 1.12), (-0.60, 0.98)  # what the picture shows [m on the page]
 SQUARE = np.array([[0.6, 0.6, -0.5], [0.6, -0.6, -0.5], [-0.6, -0.6, -0.5], [-0.6, 0.6, -0.5]])
 """Corners of a cube's place, of its edges."""
 TOWARDS = np.array([-0.25, -0.82, 0.62]) / np.linalg.norm([-0.25, -0.82, 0.62])
@@ -46,10 +44,8 @@ RIGHT = np.array([0.82, -0.25, 0.0]) / np.hypot(0.82, 0.25)
 VIEW = Camera(np.array([0.5, 0.0, 0.15]), np.stack([RIGHT, np.cross(TOWARDS, RIGHT), TOWARDS]), distance=4.0)
 """From the arm's right and above, so that the arm is on the left and the person on the right."""
 MOMENTS = 5
-RATE = 6.0
-"""Pictures per second of a GIF."""
-FARTHEST = 1.0
-"""Distances are drawn up to here [m]."""
+RATE = 6.0  # pictures per second of a GIF
+FARTHEST = 1.0  # distances are drawn up to here [m]
 
 
 def key_moments(episode: Episode) -> list[SceneSnapshot]:

@@ -25,16 +25,11 @@ except ImportError as error:  # pragma: no cover - the tests install it
 
 SHARE = np.array([0.9, 0.6, 0.4])
 """Of the arm's speed, acceleration and jerk that a motion may use by itself: the rest is for changes of its clock."""
-STANDS = 1e-3
-"""Slower than this the arm stands [rad/s]."""
-SAME = 1e-6
-"""From here to there it need not move [rad]."""
-SLOWEST = 1e-3
-"""Speed [rad/s] from which on a motion's clock is limited by it."""
-GENTLEST = 0.5
-"""Change of the clock's rate [1/s] that is always left."""
-FORESIGHT = 0.35
-"""The clock's rate changes, or comes to rest, within so long on the motion [s]."""
+STANDS = 1e-3  # slower than this the arm stands [rad/s]
+SAME = 1e-6  # from here to there it need not move [rad]
+SLOWEST = 1e-3  # speed [rad/s] from which on a motion's clock is limited by it
+GENTLEST = 0.5  # change of the clock's rate [1/s] that is always left
+FORESIGHT = 0.35  # the clock's rate changes, or comes to rest, within so long on the motion [s]
 STEEPEST = (50.0, 2000.0)
 """Changes of the clock's rate that are never needed [1/s, 1/s^2]: a motion that hardly moves would allow any."""
 

@@ -21,12 +21,9 @@ from kinecast.robot.motions import STEP
 from kinecast.robot.separation import Moving, SeparationOptions, compare
 from kinecast.robot.ur5 import UR5
 
-RISE = 3.0
-"""How fast the clock may speed up again [1/s]."""
-MEASURED = 0.1
-"""What the noise of a camera adds to the speed at which monitoring takes people to come [m/s]."""
-AGE = 0.1
-"""Of what monitoring will know of the people at each moment [s]: the camera's delay."""
+RISE = 3.0  # how fast the clock may speed up again [1/s]
+MEASURED = 0.1  # what the noise of a camera adds to the speed at which monitoring takes people to come [m/s]
+AGE = 0.1  # of what monitoring will know of the people at each moment [s]: the camera's delay
 RISK, TAIL = 0.2, 0.1
 """Price of what the slowest take longer than the mean [s/s], and the share of motions that counts as the slowest."""
 

@@ -16,30 +16,18 @@ from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.body import body_capsules, interpolated
 from kinecast.types import Prediction, Status
 
-STEP = 0.1
-"""Between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]."""
-STALE_AFTER = 0.1
-"""A prediction older than this says no more than what can be reached [s]."""
-AHEAD = 6.0
-"""Motions are carried on so far [s]."""
-SAMPLES = 40
-"""Motions looked at."""
-KEPT = 600
-"""Postures kept of a person: a minute."""
-ENOUGH = 20
-"""Postures from which on the past says something."""
-LEAST = 3
-"""Postures from which on the usual one is known."""
-RETURN = 1.0
-"""Who does what they never did returns to their usual posture in this time [s]."""
-ALIKE = 6
-"""Moments of the past between which is drawn."""
-LOOKBACK = 0.3
-"""A difference in speed counts as the difference in place that it makes in so long [s]."""
-FADE = 0.5
-"""The difference between now and then fades in this time [s]."""
-NEW = 0.3
-"""Root mean square difference of joints [m] from which on nothing in the past is alike."""
+STEP = 0.1  # between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]
+STALE_AFTER = 0.1  # a prediction older than this says no more than what can be reached [s]
+AHEAD = 6.0  # motions are carried on so far [s]
+SAMPLES = 40  # motions looked at
+KEPT = 600  # postures kept of a person: a minute
+ENOUGH = 20  # postures from which on the past says something
+LEAST = 3  # postures from which on the usual one is known
+RETURN = 1.0  # who does what they never did returns to their usual posture in this time [s]
+ALIKE = 6  # moments of the past between which is drawn
+LOOKBACK = 0.3  # a difference in speed counts as the difference in place that it makes in so long [s]
+FADE = 0.5  # the difference between now and then fades in this time [s]
+NEW = 0.3  # root mean square difference of joints [m] from which on nothing in the past is alike
 
 
 def is_trusted(prediction: Prediction, now: float) -> bool:

@@ -17,21 +17,16 @@ from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted
 from kinecast.robot.separation import Moving
 from kinecast.types import Prediction, SkeletonFrame
 
-SLOPE = 0.14
-"""Span of the measurements over which a joint's speed is taken [s]."""
-FORGET = 0.5
-"""A person who was not on any shot for this long has left [s]."""
-HARDEST = 10.0
-"""No joint gains speed faster [m/s²]: beyond that it is the tracking."""
+SLOPE = 0.14  # span of the measurements over which a joint's speed is taken [s]
+FORGET = 0.5  # a person who was not on any shot for this long has left [s]
+HARDEST = 10.0  # no joint gains speed faster [m/s²]: beyond that it is the tracking
 FASTEST = np.array([2.0] * 6 + [1.6] * 3)
 """Approach of the capsules (kinecast.robot.body.PARTS) [m/s], ISO 13855:2010, 6.2.3: upper limbs 2.0 below 0.5 m, a
 body at a walk 1.6."""
-TOUCH = 0.06
-"""A limb that comes this near to a cube's middle may take it [m]."""
+TOUCH = 0.06  # a limb that comes this near to a cube's middle may take it [m]
 MOST_SAMPLES = 100
 """Samples that a probability is counted over: more cost time, and its standard error is 0.05 at most."""
-MOMENT = 1e-5
-"""Capsules' velocities are those of their joints over so long [s]."""
+MOMENT = 1e-5  # capsules' velocities are those of their joints over so long [s]
 ARM_PARTS = ("shoulder", "elbow", "wrist")
 
 NOBODY = Moving(np.empty((0, 7)), np.empty((0, 6)), np.empty(0))

@@ -13,17 +13,13 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import LINKS, UR5
 
-VERTICAL = 0.5
-"""Greatest speed of the straight ways down and up [m/s]."""
-DWELL = 0.25
-"""Time the gripper takes [s]."""
+VERTICAL = 0.5  # greatest speed of the straight ways down and up [m/s]
+DWELL = 0.25  # time the gripper takes [s]
 WAYPOINTS = 9
 CONTINUOUS = 0.8
 """Between two waypoints of a straight line no angle changes by more than this, or the arm would flip over [rad]."""
-ELBOW_ABOVE = 0.1
-"""The elbow stays this much higher than the tool [m]: over the table, not beside it."""
-TAKEN = 0.5
-"""Probability from which on a cube is the person's, at once."""
+ELBOW_ABOVE = 0.1  # the elbow stays this much higher than the tool [m]: over the table, not beside it
+TAKEN = 0.5  # probability from which on a cube is the person's, at once
 FREE, AFTER = 0.2, 0.5
 """Probability below which it may be the arm's again, once it has stayed below for so long [s]."""
 

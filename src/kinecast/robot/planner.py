@@ -35,24 +35,16 @@ LIMITS = SPEED, ACCELERATION, JERK = np.array([1.57, 4.0, 75.0])
 gained by more; less than half of its acceleration and jerk, the rest is for braking."""
 TOLERANCE = 1.02
 """A motion that needs so many times its time to be within these is within them; others are slowed to as much less."""
-SHORTEST = 0.4
-"""Duration of the shortest motion [s]."""
-WAYPOINTS, BENT_WAYPOINTS = 40, 24
-"""Of a path, and of one that bends around people."""
-LEG = 14
-"""Waypoints of a straight leg between two corners."""
-STRAIGHT_GOALS = 2
-"""Goals tried from a straight way, the best first."""
-SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)
-"""Least distances from the scene that the descent keeps, in turn [m]."""
-SEARCH_MARGINS = (0.003, 0.001)
-"""Kept by searched paths [m], in turn: what follows them cuts corners."""
+SHORTEST = 0.4  # duration of the shortest motion [s]
+WAYPOINTS, BENT_WAYPOINTS = 40, 24  # of a path, and of one that bends around people
+LEG = 14  # waypoints of a straight leg between two corners
+STRAIGHT_GOALS = 2  # goals tried from a straight way, the best first
+SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)  # least distances from the scene that the descent keeps, in turn [m]
+SEARCH_MARGINS = (0.003, 0.001)  # kept by searched paths [m], in turn: what follows them cuts corners
 SEARCH_STEP = 0.07
 """Way over all angles between two looks at an edge [rad], 0.06 m at full reach; plans are checked finely again."""
-SHORTCUTS = 60
-"""Tries to shorten a path that was found."""
-DRAWN_IN = (0.3, 0.3)
-"""Distance from the arm's axis and height of a hand that is drawn in [m]."""
+SHORTCUTS = 60  # tries to shorten a path that was found
+DRAWN_IN = (0.3, 0.3)  # distance from the arm's axis and height of a hand that is drawn in [m]
 ROOM, ROOM_WORTH = 0.1, 2.0
 """So much room around a goal [m], from the scene and from the arm itself, is worth a later arrival [s/m]."""
 _ONE_SEARCH_AT_A_TIME = threading.Lock()

@@ -17,12 +17,9 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-UNKNOWN = 1.6
-"""v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5)."""
-STANDS = 1e-6
-"""An arm slower than this stands [m/s]."""
-OLDEST = 0.1
-"""A measurement older than this does not say how fast the person is [s]."""
+UNKNOWN = 1.6  # v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5)
+STANDS = 1e-6  # an arm slower than this stands [m/s]
+OLDEST = 0.1  # a measurement older than this does not say how fast the person is [s]
 
 
 class SeparationOptions(NamedTuple):

@@ -14,14 +14,11 @@ from kinecast.robot.people import CameraFrame
 from kinecast.robot.separation import Moving, SeparationOptions, moving, separation
 from kinecast.types import SkeletonFrame
 
-RATE = 30.0
-"""Of the camera's shots [Hz]."""
-MARGIN, FORESIGHT = 0.06, 0.25
-"""A person goes no nearer to the arm than this [m], and looks so far ahead [s]."""
+RATE = 30.0  # of the camera's shots [Hz]
+MARGIN, FORESIGHT = 0.06, 0.25  # a person goes no nearer to the arm than this [m], and looks so far ahead [s]
 PATIENCE = 1.0
 """How long they wait, and how long they draw back at first [s]; so much longer each time in a row."""
-CHANGE = 5.0
-"""How fast they slow down and take up again, of their own speed [1/s]."""
+CHANGE = 5.0  # how fast they slow down and take up again, of their own speed [1/s]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,16 +24,13 @@ from kinecast.types import Prediction, SkeletonFrame
 Predict = Callable[[SkeletonFrame, float], Prediction | None]
 """Takes a frame and the present time; None where nothing is predicted."""
 
-MOMENT = 0.01
-"""A person's true speed is taken over this time [s]."""
-SHOWN = 60
-"""Samples kept for pictures."""
+MOMENT = 0.01  # a person's true speed is taken over this time [s]
+SHOWN = 60  # samples kept for pictures
 TRUTH = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0, across=0.0)
 """Monitoring that knows everything."""
 UPRIGHT = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
 """The arm begins as near to this as it can rest: elbow up, over the table's side [rad]."""
-HOLDS = 0.04
-"""A cube is held when its centre is this near to where the fingers close [m]."""
+HOLDS = 0.04  # a cube is held when its centre is this near to where the fingers close [m]
 
 
 class SimulatedDriver:

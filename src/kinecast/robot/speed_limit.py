@@ -13,20 +13,13 @@ from kinecast.robot.people import PeopleModel
 from kinecast.robot.separation import Separation, SeparationOptions, moving, separation
 from kinecast.robot.ur5 import UR5
 
-SILENCE = 0.2
-"""Without a shot for this long, nobody knows who is there [s]."""
-DOUBT = 0.75
-"""Share of the planned speed beside somebody whose prediction is not OK, or too old."""
-SETTLE = 0.15
-"""Going faster, or another reason for going slowly, is new only after so long [s]."""
-STILL = 0.02
-"""Share of the planned speed below which the arm stands."""
-FREE = 0.95
-"""Share above which nothing holds it back."""
-BRAKED = 0.5
-"""Share below which being held back is said at once."""
-MOMENT = 1e-3
-"""Capsules' velocities are taken over this time [s]."""
+SILENCE = 0.2  # without a shot for this long, nobody knows who is there [s]
+DOUBT = 0.75  # share of the planned speed beside somebody whose prediction is not OK, or too old
+SETTLE = 0.15  # going faster, or another reason for going slowly, is new only after so long [s]
+STILL = 0.02  # share of the planned speed below which the arm stands
+FREE = 0.95  # share above which nothing holds it back
+BRAKED = 0.5  # share below which being held back is said at once
+MOMENT = 1e-3  # capsules' velocities are taken over this time [s]
 
 
 class LimitReason(Enum):
@@ -39,10 +32,8 @@ class LimitReason(Enum):
     UNSEEN = "Somebody is there whose arms were never seen."
 
 
-HELD, SLOW, FULL = range(3)
-"""How fast it has been going for a while."""
-BLIND = {LimitReason.SILENCE, LimitReason.UNSEEN}
-"""Nobody knows where somebody is."""
+HELD, SLOW, FULL = range(3)  # how fast it has been going for a while
+BLIND = {LimitReason.SILENCE, LimitReason.UNSEEN}  # nobody knows where somebody is
 
 
 class SpeedLimit(NamedTuple):

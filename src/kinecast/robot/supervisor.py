@@ -34,28 +34,16 @@ from kinecast.types import Decision, Prediction, Reaction, RobotState
 
 log = logging.getLogger(__name__)
 
-AGAIN = 0.3
-"""Between two looks for something better [s]."""
-RETRY, ATTEMPTS = 0.5, 3
-"""After a search that failed [s]; and so often a place is tried that cannot be reached."""
+AGAIN = 0.3  # between two looks for something better [s]
+RETRY, ATTEMPTS = 0.5, 3  # after a search that failed [s]; and so often a place is tried that cannot be reached
 EVADE = 2.0
 """Held back for this long by somebody who comes to where it stands, the arm draws back [s] (docs/decisions/0028)."""
-STUCK = 0.1
-"""Share of the planned speed below which it does not get anywhere."""
-NEAR_ENOUGH = 0.05
-"""A path is followed from where the arm stands if it begins no farther away than this [rad]."""
+STUCK = 0.1  # share of the planned speed below which it does not get anywhere
+NEAR_ENOUGH = 0.05  # a path is followed from where the arm stands if it begins no farther away than this [rad]
 NEXT = dict(pairwise((*tuple(Step)[1:9], Step.NONE))) | {Step.REST: Step.NONE}
 """What follows a step that has ended: from REACH to RISE in their order."""
-AFTER_EVADING = {
-    Step.REACH: Step.REACH, Step.DESCEND: Step.REACH, Step.LIFT: Step.CARRY, Step.CARRY: Step.CARRY,
-    Step.LOWER: Step.CARRY,
-}  # fmt: skip
-"""What a step that was held becomes."""
-HANDLING = {
-    Step.DESCEND: RobotState.GRASPING, Step.CLOSE: RobotState.GRASPING, Step.LIFT: RobotState.GRASPING,
-    Step.LOWER: RobotState.PLACING, Step.OPEN: RobotState.PLACING, Step.RISE: RobotState.PLACING,
-}  # fmt: skip
-"""What the robot does in steps at a cube."""
+EVADABLE = (Step.REACH, Step.DESCEND, Step.LIFT, Step.CARRY, Step.LOWER)  # steps in which it may be held
+GRASPING, PLACING = (Step.DESCEND, Step.CLOSE, Step.LIFT), (Step.LOWER, Step.OPEN, Step.RISE)
 
 
 class Command(NamedTuple):
@@ -168,13 +156,13 @@ class Supervisor:
     def _evade(self, now: float) -> None:
         """Draws back where it is held for long, and takes its step up again from there."""
         held = self._limit.speed < STUCK and self._limit.reason in (LimitReason.DOUBT, LimitReason.SEPARATION)
-        if not held or self.step not in AFTER_EVADING:
+        if not held or self.step not in EVADABLE:
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now
         elif now - self._held_since >= EVADE and self._trajectory is not None:
             self._held_since, self._foretold = None, None
-            self._then = AFTER_EVADING[self.step]
+            self._then = Step.CARRY if self._closed else Step.REACH
             self._travel(Step.REST, now)
 
     # Steps
@@ -360,8 +348,8 @@ class Supervisor:
             return RobotState.DONE
         if has_path and self._next is not None:
             return RobotState.REPLANNING
-        if self.step in HANDLING and not held:
-            return HANDLING[self.step]
+        if self.step in (*GRASPING, *PLACING) and not held:
+            return RobotState.GRASPING if self.step in GRASPING else RobotState.PLACING
         if held or not has_path:
             return RobotState.WAITING
         return RobotState.SLOWED if going.level is SLOW else RobotState.MOVING

@@ -38,10 +38,8 @@ rad/s to rest in 0.244 s on average, fully stretched and loaded (base; UR5/CB3 u
 
 D1, A2, A3, D4, D5, D6 = 0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823
 """Denavit-Hartenberg lengths [m], as in data/ur5.urdf (a test compares them)."""
-STRAIGHT = 1e-7
-"""|sin q5| under which the wrist counts as straight and q6 as free."""
-ROUND_OFF = 1e-9
-"""How far a cosine may exceed 1: the arm stretched to its end, but for round-off."""
+STRAIGHT = 1e-7  # |sin q5| under which the wrist counts as straight and q6 as free
+ROUND_OFF = 1e-9  # how far a cosine may exceed 1: the arm stretched to its end, but for round-off
 SHOULDER, WRIST, ELBOW = np.array(list(product((1.0, -1.0), repeat=3))).T
 """Signs of q1's offset, q5 and q3 in the eight branches."""
 
