@@ -20,6 +20,7 @@ import json
 import math
 import os
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
@@ -37,7 +38,7 @@ from kinecast.datasets.loading import load_all
 from kinecast.datasets.recording import Recording
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.collaboration import generated_person, predictor_named, replayed_person
-from kinecast.robot.episode import Outcome, outcome_of
+from kinecast.robot.episode import Outcome
 from kinecast.robot.simulated_person import Camera, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 
@@ -126,7 +127,8 @@ def episode(seed: int, name: str, settings: Settings) -> tuple[Outcome, float]:
     camera = Camera(delay=cell.delay, seed=seed)
     predict = predictor_named(name, people, settings.samples)
     simulation = Simulation(people, predict, camera, cell, limit=settings.limit)
-    return outcome_of(simulation.run(), people, cell), time.process_time() - began
+    deque(simulation.steps(), maxlen=0)
+    return simulation.outcome(), time.process_time() - began
 
 
 @cache

@@ -112,18 +112,12 @@ class Simulation:
         sequence = self.supervisor.sequence
         self.episode = Episode(forecasts=self.supervisor.forecasts, placed=sequence.placed, given_up=sequence.given_up)
 
-    def run(self) -> Episode:
-        """To the end: every cube in its place, or out of time."""
-        for _ in self.steps():
-            pass
-        return self.episode
-
     def outcome(self) -> Outcome:
         """Its figures so far."""
         return outcome_of(self.episode, self.people, self.cell)
 
     def steps(self) -> Iterator[Command]:
-        """Step by step; each yields what the arm was told."""
+        """Step by step to the end, every cube in its place or out of time; each yields what the arm was told."""
         episode, dt = self.episode, self.driver.dt
         for index in range(round(self.limit / dt)):
             episode.end = index * dt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -65,7 +66,9 @@ def play(
     **faults: tuple[tuple[float, float], ...],
 ) -> Episode:
     """An episode to its end, with faults of the camera."""
-    return Simulation(people, predict, FaultyCamera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT).run()
+    simulation = Simulation(people, predict, FaultyCamera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT)
+    deque(simulation.steps(), maxlen=0)
+    return simulation.episode
 
 
 def of(episode: Episode, state: RobotState) -> list[Decision]:
