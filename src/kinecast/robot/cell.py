@@ -6,6 +6,7 @@ cell watched by fused depth cameras. `certified` takes everybody to walk towards
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box
+from kinecast.geometry.transforms import rotation_z, transform
 from kinecast.robot.separation import SeparationOptions
 
 TABLE_TOP = -0.02  # height of the table's surface [m]: the arm stands on a plate, whose top is the origin
@@ -95,12 +97,7 @@ class Cell:
 
 def standing_at(x: float, y: float) -> Float[np.ndarray, "4 4"]:
     """T_cell_person of somebody who stands at x, y [m] and looks at the arm."""
-    forward = -np.array([x, y]) / np.hypot(x, y)
-    T = np.eye(4)
-    T[:2, 0] = forward
-    T[:2, 1] = -forward[1], forward[0]
-    T[:3, 3] = x, y, TABLE_TOP - TABLE_HEIGHT
-    return T
+    return transform(rotation_z(math.atan2(-y, -x)), np.array([x, y, TABLE_TOP - TABLE_HEIGHT]))
 
 
 CELLS: dict[str, Callable[[], Cell]] = {
