@@ -100,9 +100,9 @@ class SpeedHysteresis:
         """Takes in what holds the arm back, and the share that it may go at for other reasons too [0..1]."""
         self.speed = min(most, self.speed + RISE * (now - self._now))
         self._now = now
-        level = (limit.speed > STILL) + (limit.speed > FREE)
-        same = level is self.level and limit.reason is self.reason
-        braked = level is HELD or (level is SLOW and self.level is FULL and limit.speed < BRAKED)
+        level = sum(limit.speed > share for share in (STILL, FREE))
+        same = level == self.level and limit.reason is self.reason
+        braked = level == HELD or (level == SLOW and self.level == FULL and limit.speed < BRAKED)
         blind = BLIND & {self.reason, limit.reason}
         if same or braked or blind or now - self._since >= SETTLE:
             self.level, self.reason, self._since = level, limit.reason, now

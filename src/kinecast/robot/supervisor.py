@@ -341,7 +341,7 @@ class Supervisor:
 
     def _state(self) -> RobotState:
         has_path, going = self._trajectory is not None, self._going
-        held = has_path and going.level is HELD
+        held = has_path and going.level == HELD
         if going.reason in BLIND or (held and going.reason is LimitReason.SEPARATION):
             return RobotState.STOPPED
         if not self.sequence.remaining and self.step is Step.REST and not has_path:
@@ -352,7 +352,7 @@ class Supervisor:
             return RobotState.GRASPING if self.step in GRASPING else RobotState.PLACING
         if held or not has_path:
             return RobotState.WAITING
-        return RobotState.SLOWED if going.level is SLOW else RobotState.MOVING
+        return RobotState.SLOWED if going.level == SLOW else RobotState.MOVING
 
     def _reason(self, state: RobotState, reaction: Reaction | None) -> str:
         """Why, in a sentence."""
