@@ -50,21 +50,21 @@ def test_gaps_in_a_recording_are_bridged() -> None:
 def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kinecast.robot.simulated_person.PATIENCE", 9.0)
     person = ReactivePerson(mover())
-    for k in range(500):
-        person.mind(THERE, 0.008 * k)
+    for k in range(200):
+        person.mind(THERE, 0.02 * k)
     reached = person.at(4.0)[2, 0]
     assert 0.55 < reached < 0.85
-    for k in range(500, 900):
-        person.mind(THERE._replace(capsules=THERE.capsules + 9.0), 0.008 * k)
+    for k in range(200, 360):
+        person.mind(THERE._replace(capsules=THERE.capsules + 9.0), 0.02 * k)
     assert person.at(7.2)[2, 0] > 1.4
     assert person.at(4.0)[2, 0] == pytest.approx(reached), "what was done stays done"
 
 
 def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again() -> None:
     person = ReactivePerson(mover())
-    for k in range(1000):
-        person.mind(THERE, 0.008 * k)
-    hand = np.array([person.at(0.008 * k)[2, 0] for k in range(1000)])
+    for k in range(400):
+        person.mind(THERE, 0.02 * k)
+    hand = np.array([person.at(0.02 * k)[2, 0] for k in range(400)])
     assert hand.max() < 0.85
     first = int(np.argmax(hand > 0.6))
     drawn_back = first + int(np.argmin(hand[first:]))
