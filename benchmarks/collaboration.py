@@ -7,7 +7,7 @@ Every fourth person is generated; the others are recorded, of sets that the ship
 played forth and back: at work at a table (HA4M), giving something, and walking up to take it (both handover_zed). All
 stop short of an arm that is in their way, as people do. `none` is monitoring alone on the straight ways;
 `zero_velocity` and `damped_velocity` are the same planner without a prediction worth the name. What is measured:
-kinecast.robot.outcome. A run that was cut short goes on where it stopped, if settings and code are the same. Seeds 0 to
+kinecast.robot.episode. A run that was cut short goes on where it stopped, if settings and code are the same. Seeds 0 to
 99 are for figures that are stated; settings were chosen on seeds from 1000.
 """
 
@@ -20,6 +20,7 @@ import json
 import math
 import os
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
@@ -35,11 +36,10 @@ from benchmarks.collaboration_report import report, save_plot, summarise
 from benchmarks.machine import RESULTS, facts, save
 from kinecast.datasets.loading import load
 from kinecast.datasets.recording import Recording
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.collaboration import generated_person, predictor_named, replayed_person
-from kinecast.robot.outcome import Outcome, outcome_of
-from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
+from kinecast.robot.episode import Outcome
+from kinecast.robot.simulated_person import Camera, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Simulation
 
 PREDICTORS = ("kinecast", "none", "zero_velocity", "damped_velocity", "oracle", "reachable")
@@ -127,7 +127,8 @@ def episode(seed: int, name: str, settings: Settings) -> tuple[Outcome, float]:
     camera = Camera(delay=cell.delay, seed=seed)
     predict = predictor_named(name, people, settings.samples)
     simulation = Simulation(people, predict, camera, cell, limit=settings.limit)
-    return outcome_of(simulation.run(), people, cell), time.process_time() - began
+    deque(simulation.steps(), maxlen=0)
+    return simulation.outcome(), time.process_time() - began
 
 
 @cache

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kinecast.evaluation.plots import INK, STYLE, method_style, save_figure
-from kinecast.robot.outcome import Outcome
+from kinecast.robot.episode import Outcome
 
 SHOWN = (
     "contacts", "contacts_moving", "least_distance", "violation", "time_to_done", "stops", "stopped", "replans",

@@ -22,7 +22,6 @@ from benchmarks.collaboration import person, recordings
 from benchmarks.machine import RESULTS, facts, save
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.body import body_capsules
-from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Option, grasp_rows
 from kinecast.robot.expected_time import travel_time
@@ -73,23 +72,19 @@ class Ways:
         motion = None if somebody is None else true_motion(somebody)
         return min(self._time(self.rows(order), motion) for order in permutations(self.cell.order))
 
-    def _time(self, ways: list[np.ndarray], motion: Capsules | None) -> float:
+    def _time(self, ways: list[np.ndarray], motion: np.ndarray | None) -> float:
         now = 0.0
         for rows in ways:
-            left = None
-            if motion is not None:
-                since = min(round(now / STEP), motion.start.shape[1] - 2)
-                left = Capsules(motion.start[:, since:], motion.end[:, since:], motion.radius)
+            left = None if motion is None else motion[:, min(round(now / STEP), motion.shape[1] - 2) :]
             now += travel_time(self.arm, rows, left, self.cell.separation).mean
         return now
 
 
-def true_motion(somebody: Person) -> Capsules:
-    """All that a person does in an episode."""
+def true_motion(somebody: Person) -> np.ndarray:
+    """(1, N, 9, 7) capsules of all that a person does in an episode, `STEP` apart."""
     poses = np.array([somebody.at(STEP * n) for n in range(round(LONGEST / STEP))])
     arms = poses[:, [somebody.joints.index(name) for name in ARM_JOINTS]]
-    body = body_capsules(ARM_JOINTS, arms)
-    return Capsules(body.start[None], body.end[None], body.radius)
+    return body_capsules(ARM_JOINTS, arms)[None]
 
 
 def main() -> None:

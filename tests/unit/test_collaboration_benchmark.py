@@ -21,7 +21,7 @@ from benchmarks.least_time import Ways
 
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import generated_person
-from kinecast.robot.outcome import Outcome
+from kinecast.robot.episode import Outcome
 from kinecast.robot.simulated_person import PlayedPerson
 
 

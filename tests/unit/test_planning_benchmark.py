@@ -34,12 +34,12 @@ def test_both_planners_are_timed_and_compared(capsys: pytest.CaptureFixture[str]
     result = {
         **planning.random_problems(2, 1.0),
         "descent": planning.descent(1),
-        "cell": planning.decisions(2, limit=1.0),
+        "cell": planning.decisions(1, limit=1.0),
     }
     assert set(result["planners"]) == {"rrt_connect", "kinecast"}
     assert result["recheck_collisions"] == 0
     assert 0 <= result["share_of_rrt_connect"] <= 1
     assert result["descent"]["waypoints"] == 40
-    assert result["cell"]["processor"]["decision"]["count"] > result["cell"]["clock"]["decision"]["count"] > 20
+    assert result["cell"]["decision"]["count"] > 20
     planning.report(result)
     assert "RRTConnect" in capsys.readouterr().out

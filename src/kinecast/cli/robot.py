@@ -36,6 +36,7 @@ MARGIN = 0.1  # from the end of a joint's range that an arm should keep [rad]
 STEP = 0.008  # of the supervisor's control [s]; a faster controller is led there in a straight line
 
 Seen = deque[tuple[SkeletonFrame, Prediction]]
+Check = tuple[str, bool, str]  # its name, whether it is in order, and the figures
 DriverName = Annotated[str, arg(name="driver", metavar="ur:HOST", help="the arm; ur:HOST:PORT where it is not 30004.")]
 SourceName = Annotated[
     str | None, arg(metavar="SOURCE", help="where the skeletons come from, as in kinecast live; --move needs it.")
@@ -132,40 +133,37 @@ def check_arm(arm: UR5, host: str, port: int) -> None:
         raise ArmError(f"{host}:{port}: sends no states")
     kind = "CB3" if rtde.rate < 200 else "e-Series"
     print(f"ok   software  {'.'.join(map(str, rtde.version[:3]))} ({kind}), {rtde.rate:g} cycles a second")
-    failed = []
-    for name, passed, text in checks(arm, readings, np.array(arrivals), rtde.rate):
+    found = [_clock(readings, np.array(arrivals), rtde.rate), *_checks(arm, readings[-1])]
+    for name, passed, text in found:
         print(f"{'ok ' if passed else 'NOT'}  {name:8}  {text}")
-        failed += [] if passed else [name]
-    if failed:
-        raise ArmError(f"ur:{host}:{port}: the arm may not move: {', '.join(failed)}")
+    if failed := ", ".join(name for name, passed, _ in found if not passed):
+        raise ArmError(f"ur:{host}:{port}: the arm may not move: {failed}")
 
 
-def checks(arm: UR5, readings: Sequence[Reading], arrivals: np.ndarray, rate: float) -> Iterator[tuple[str, bool, str]]:
-    """What must be in order before an arm may move: its name, whether it is, and the figures."""
-    from kinecast.robot.ur_driver import trouble
-
-    last, stamps = readings[-1], np.array([each.stamp for each in readings])
+def _clock(readings: Sequence[Reading], arrivals: np.ndarray, rate: float) -> Check:
+    """Whether the controller's states come one a cycle, and on time."""
+    stamps = np.array([each.stamp for each in readings])
     cycles = (stamps[-1] - stamps[0]) * rate
     skipped = cycles + 1 - len(stamps)
     p99, longest = np.percentile(np.diff(arrivals) * rate, [99, 100])
     drift = (arrivals[-1] - arrivals[0]) / (stamps[-1] - stamps[0]) - 1
-    yield (
-        "clock",
-        bool(skipped <= 0.01 * cycles and p99 <= 2 and abs(drift) < 0.01),
-        (
-            f"{skipped:.0f} of {cycles:.0f} cycles without a state; {p99:.2f} cycles between two at"
-            f" p99, {longest:.2f} at most; runs {1e6 * drift:+.0f} ppm apart from this computer's"
-        ),
+    text = (
+        f"{skipped:.0f} of {cycles:.0f} cycles without a state; {p99:.2f} cycles between two at"
+        f" p99, {longest:.2f} at most; runs {1e6 * drift:+.0f} ppm apart from this computer's"
     )
+    return "clock", bool(skipped <= 0.01 * cycles and p99 <= 2 and abs(drift) < 0.01), text
+
+
+def _checks(arm: UR5, last: Reading) -> Iterator[Check]:
+    """What else must be in order before an arm may move."""
+    from kinecast.robot.ur_driver import trouble
+
     problem = trouble(last)
     yield "state", problem is None, "kinecast_ur.script waits" if problem is None else problem.value
     yield "speed", last.speed_fraction > 0, f"the speed slider lets it go at {last.speed_fraction:.0%}"
     left = np.minimum(last.q - arm.q_range[:, 0], arm.q_range[:, 1] - last.q)
-    yield (
-        "limits",
-        bool(left.min() > MARGIN),
-        (f"joint {left.argmin() + 1} is {left.min():.2f} rad from the end of its range, the others are further"),
-    )
+    text = f"joint {left.argmin() + 1} is {left.min():.2f} rad from the end of its range, the others are further"
+    yield "limits", bool(left.min() > MARGIN), text
     # Whether the controller puts the tool where this model of the arm does tells another arm, tool or base frame.
     T = arm.forward_kinematics(last.q)
     apart = np.linalg.norm(last.tool[:3] - T[:3, 3])
@@ -212,16 +210,15 @@ def warm_up(samples: int) -> None:
 def episode(arm: UR5, driver: UrDriver, seen: Seen, ended: Callable[[], bool]) -> Iterator[str]:
     """The cell's episode by a real arm, until there is no source or something stops it; what is decided, in lines."""
     from kinecast.robot.async_planner import AsyncPlanner
-    from kinecast.robot.camera import CameraFrame
     from kinecast.robot.cell import Cell
     from kinecast.robot.choice import Chooser
-    from kinecast.robot.planner import Planner
+    from kinecast.robot.people import CameraFrame
     from kinecast.robot.supervisor import Supervisor
 
     cell, per_step, newest = Cell(), max(round(STEP / driver.dt), 1), 0.0
     driver.wait()
     q, closed = driver.reading.q, driver.gripped
-    with closing(AsyncPlanner(Chooser(Planner(arm, cell.scene), cell).choose, threaded=True)) as planner:
+    with closing(AsyncPlanner(Chooser(arm, cell).choose, threaded=True)) as planner:
         supervisor = Supervisor(arm, cell, planner, q, per_step * driver.dt)
         driver.resume()
         while driver.status.name == "OK" and not supervisor.done and not ended():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import numpy as np
 from tyro.conf import arg
@@ -17,11 +17,12 @@ from kinecast.cli.recordings import read_recordings
 from kinecast.errors import OptionError
 
 if TYPE_CHECKING:
-    from kinecast.robot.episode import Episode
-    from kinecast.robot.outcome import Outcome
+    from kinecast.robot.episode import Episode, Outcome
     from kinecast.robot.simulated_person import PlayedPerson
     from kinecast.robot.simulation import Simulation
     from kinecast.types import Decision
+
+    Episodes: TypeAlias = Mapping[str, tuple[Episode, Outcome]]
 
 SYNTHETIC, RECORDED = "synthetic", "recorded person"
 OUT = Path("kinecast-simulate")
@@ -81,30 +82,29 @@ def simulate(
     names = scripted if scenario == "all" else (scenario,)
     if out is not None or not view:
         check_folder(out or OUT)
-    config = SimulationConfig(person, cell, seed, samples)
+    world = _World(person, cell, seed, samples)
     if view:
-        _serve(host, port, names[0], predictor, config, out)
+        _serve(host, port, names[0], predictor, world, out)
         return
     out = out or OUT
-    episodes = {name: _play(config, name, predictor) for name in names}
-    config.write(out, episodes, scenario, predictor)
+    episodes = {}
+    for name in names:
+        simulation = world.simulation(name, predictor)
+        print(f"{name}: {SCENARIOS[name].about if world.player is None else 'a recorded person'}")
+        for command in simulation.steps():
+            if command.news:
+                _tell(command.decision)
+        episodes[name] = simulation.episode, simulation.outcome()
+    world.write(out, episodes, scenario, predictor)
     print(_table(episodes))
     print(f"decisions: {out / 'episode.json'}")
     print(f"pictures: {out / 'storyboard.png'}, and a GIF and a timeline of each scenario beside it")
 
 
-class SimulationConfig:
+class _World:
     """Who comes where, and how they are predicted, whatever the scenario.
 
-    Args:
-        person: SYNTHETIC, or the path of a recording.
-        cell: its name.
-        seed: of the person and the camera.
-        samples: motions drawn per prediction.
-
-    Raises:
-        OptionError: no such cell.
-        DatasetError: the recording cannot be read.
+    An OptionError where there is no such cell, a DatasetError where a recording cannot be read.
     """
 
     def __init__(self, person: str, cell: str, seed: int, samples: int) -> None:
@@ -125,13 +125,11 @@ class SimulationConfig:
         with compiling():
             return simulate_scenario(scenario, predictor, self.seed, self.samples, self.player, level, self.cell)
 
-    def write(
-        self, out: Path, episodes: Mapping[str, tuple[Episode, Outcome]], scenario: str, predictor: str, **more: object
-    ) -> None:
+    def write(self, out: Path, episodes: Episodes, scenario: str, predictor: str, **more: object) -> None:
         """Writes decisions, figures and pictures of episodes, with what was asked for."""
         from kinecast.robot.collaboration import SCENARIOS
+        from kinecast.robot.episode import write_episodes
         from kinecast.robot.episode_pictures import animate_episode, draw_storyboard, draw_timeline
-        from kinecast.robot.outcome import write_episodes
 
         asked = {"version": __version__, "scenario": scenario, "predictor": predictor}
         write_episodes(out, episodes, {**asked, **self._settings, **more})
@@ -143,53 +141,37 @@ class SimulationConfig:
             draw_timeline(out / f"{name}_timeline.png", episode, f"{name}: {predictor}")
 
 
-def _play(config: SimulationConfig, scenario: str, predictor: str) -> tuple[Episode, Outcome]:
-    """Runs a scenario, and prints the decisions as they fall."""
-    from kinecast.robot.collaboration import SCENARIOS
-    from kinecast.robot.outcome import outcome_of
-
-    simulation = config.simulation(scenario, predictor)
-    print(f"{scenario}: {SCENARIOS[scenario].about if config.player is None else 'a recorded person'}")
-    for command in simulation.steps():
-        if command.news:
-            _tell(command.decision)
-    return simulation.episode, outcome_of(simulation.episode, simulation.people, simulation.cell)
-
-
-def _serve(host: str, port: int, scenario: str, predictor: str, config: SimulationConfig, out: Path | None) -> None:
+def _serve(host: str, port: int, scenario: str, predictor: str, world: _World, out: Path | None) -> None:
     """Simulates and shows in the browser until Ctrl-C; what finished runs leave goes to a folder, if there is one.
 
     An OptionError where nothing can listen there, or for no such predictor.
     """
     from kinecast.robot.collaboration import PREDICTORS, SCENARIOS
-    from kinecast.robot.outcome import outcome_of
     from kinecast.view.playback import Setting, Simulations
     from kinecast.view.viewer import Viewer
 
     if predictor not in PREDICTORS:
         raise OptionError(f"--predictor {predictor}: allowed are {', '.join(PREDICTORS)}")
-    played = {RECORDED: scenario} if config.player is not None else {name: name for name in SCENARIOS}
+    played = {RECORDED: scenario} if world.player is not None else {name: name for name in SCENARIOS}
 
     def make(setting: Setting) -> Simulation:
         print(f"{setting.scenario}, {setting.predictor}, {100 * setting.level:g} %", flush=True)
-        return config.simulation(played[setting.scenario], setting.predictor, setting.level)
+        return world.simulation(played[setting.scenario], setting.predictor, setting.level)
 
     def end(setting: Setting, simulation: Simulation) -> str:
-        outcome = outcome_of(simulation.episode, simulation.people, simulation.cell)
+        outcome = simulation.outcome()
         episodes = {setting.scenario: (simulation.episode, outcome)}
         print(_table(episodes), flush=True)
         if out is not None:
-            config.write(out, episodes, setting.scenario, setting.predictor, level=setting.level)
+            world.write(out, episodes, setting.scenario, setting.predictor, level=setting.level)
         contacts = "no contact" if outcome.contacts == 0 else f"{outcome.contacts} contacts"
         return f"{outcome.result} after {outcome.time_to_done:.1f} s, {contacts}"
 
     first = Setting(RECORDED if RECORDED in played else scenario, predictor)
-    with closing(
-        Viewer(host, port, first, Simulations(tuple(played), PREDICTORS, config.cell, make, _tell, end))
-    ) as it:
+    simulations = Simulations(tuple(played), PREDICTORS, world.cell, make, _tell, end)
+    with closing(Viewer(host, port, first, simulations)) as it, suppress(KeyboardInterrupt):
         print(f"view: {it.url} (Ctrl-C ends it)", flush=True)
-        with suppress(KeyboardInterrupt):
-            it.serve()
+        it.serve()
 
 
 def _tell(decision: Decision) -> None:
@@ -198,7 +180,7 @@ def _tell(decision: Decision) -> None:
     print(f"{decision.stamp:7.2f} s  {decision.state.name.lower():10}  {reaction}{decision.reason}", flush=True)
 
 
-def _table(episodes: Mapping[str, tuple[Episode, Outcome]]) -> str:
+def _table(episodes: Episodes) -> str:
     """The figures of every scenario."""
     table = columns("", "result", numbers="contacts,least [m],done [s],stops,replans,p50 [ms],p99 [ms]")
     for name, (_, outcome) in episodes.items():

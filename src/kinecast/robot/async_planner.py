@@ -7,14 +7,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from kinecast.errors import OptionError
 from kinecast.robot.choice import Choice, Request
 from kinecast.robot.planner import NoPlan
 
-__all__ = ["AsyncPlanner", "Solve"]
-
 log = logging.getLogger(__name__)
 
+LATENCY = 0.1  # how long a plan takes [s]; in a thread, how long it is likely to take
 Solve = Callable[[Request], Choice | NoPlan]
 """Chooses (kinecast.robot.choice)."""
 
@@ -22,30 +20,19 @@ Solve = Callable[[Request], Choice | NoPlan]
 class AsyncPlanner:
     """Takes one request at a time: one that is pending is dropped for the next, and its answer never seen.
 
-    In a simulation it plans at once and hands the answer over the latency later: the same on every machine.
+    In a simulation it plans at once and hands the answer over `LATENCY` later: the same on every machine.
 
     Args:
         solve: the planner.
-        latency: how long it takes [s]; in a thread, how long it is likely to take.
         threaded: whether it plans in a thread of its own, beside a real arm.
-        clock: that its work is timed by [s].
     """
 
-    def __init__(
-        self,
-        solve: Solve,
-        latency: float = 0.1,
-        threaded: bool = False,
-        clock: Callable[[], float] = time.perf_counter,
-    ) -> None:
-        if not latency >= 0:
-            raise OptionError(f"latency {latency} s must be 0 or more")
+    def __init__(self, solve: Solve, threaded: bool = False) -> None:
         self.pending: Request | None = None
         """What is being worked on."""
-        self.latency = latency
         self.worked = 0.0
         """Time spent planning in all [s], so that whoever measures the rest can take it off."""
-        self._solve, self._clock = solve, clock
+        self._solve = solve
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="planner") if threaded else None
         self._future: Future[Choice | NoPlan] = Future()
         self._ready = 0.0
@@ -57,7 +44,7 @@ class AsyncPlanner:
         if self._pool is not None:
             self._future = self._pool.submit(self._answered, request)
         else:
-            self._future, self._ready = Future(), now + self.latency
+            self._future, self._ready = Future(), now + LATENCY
             self._future.set_result(self._answered(request))
 
     def answer(self, now: float) -> Choice | NoPlan | None:
@@ -74,11 +61,11 @@ class AsyncPlanner:
 
     def _answered(self, request: Request) -> Choice | NoPlan:
         """Never raises: the arm goes on whatever happens to its planner."""
-        began = self._clock()
+        began = time.perf_counter()
         try:
             return self._solve(request)
         except Exception as error:
-            log.exception("planning for %s failed", request.why)
+            log.exception("planning of %r failed", request.options[0].step)
             return NoPlan(f"the planner failed: {error}", crashed=True)
         finally:
-            self.worked += self._clock() - began
+            self.worked += time.perf_counter() - began

@@ -6,8 +6,10 @@ cell watched by fused depth cameras. `certified` takes everybody to walk towards
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -15,14 +17,11 @@ from jaxtyping import Float
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box
+from kinecast.geometry.transforms import rotation_z, transform
 from kinecast.robot.separation import SeparationOptions
 
-__all__ = ["CELLS", "Cell", "Cube", "cell_named"]
-
-TABLE_TOP = -0.02
-"""Height of the table's surface [m]: the arm stands on a plate, whose top is the origin."""
-TABLE_HEIGHT = 0.9
-"""Of the surface above the floor [m]."""
+TABLE_TOP = -0.02  # height of the table's surface [m]: the arm stands on a plate, whose top is the origin
+TABLE_HEIGHT = 0.9  # of the surface above the floor [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class Cube:
     name: str  # also its colour
     position: Float[np.ndarray, " 3"]  # where it stands, its centre [m]
     place: Float[np.ndarray, " 3"]  # where it is to stand [m]
-    size: float = 0.05  # length of an edge [m]
+    size: ClassVar[float] = 0.05  # length of an edge [m]
 
 
 def _cubes(apart: float = 0.38, first: float = 0.0) -> tuple[Cube, ...]:
@@ -57,27 +56,17 @@ manual 3.4.5, appendix A.1: 3.19 rad/s in 0.244 s). Z_d: 95 % of fused joints ar
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Everything that stands still, in the frame of the arm's base: x to the person, z up [m].
+    """Everything that stands still, in the frame of the arm's base: x to the person, z up [m]."""
 
-    Attributes:
-        cubes: in the order in which they are to be moved.
-        table: under arm and cubes.
-        hover: height of the fingertips above a cube before and after it is taken [m].
-        grip: how far below a cube's top the fingertips close [m].
-        rest: (3,) fingertips while nothing is to be done [m].
-        person: (4, 4) T_cell_person, where somebody at the table stands: on the floor, x forward, z up.
-        separation: constants of speed and separation monitoring.
-        delay: of the camera, from taking a shot to knowing it [s].
-    """
-
-    cubes: tuple[Cube, ...] = field(default_factory=_cubes)
-    table: Box = field(default_factory=lambda: Box(np.array([0.29, 0.0, TABLE_TOP - 0.02]), np.array([1.3, 1.7, 0.04])))
-    hover: float = 0.14
-    grip: float = 0.015
-    rest: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.array([0.22, -0.42, 0.3]))
+    table: ClassVar[Box] = Box(np.array([0.29, 0.0, TABLE_TOP - 0.02]), np.array([1.3, 1.7, 0.04]))
+    hover: ClassVar[float] = 0.14  # height of the fingertips above a cube before and after it is taken [m]
+    grip: ClassVar[float] = 0.015  # how far below a cube's top the fingertips close [m]
+    rest: ClassVar[Float[np.ndarray, "3"]] = np.array([0.22, -0.42, 0.3])  # of the fingertips, with nothing to do [m]
+    cubes: tuple[Cube, ...] = field(default_factory=_cubes)  # in the order in which they are to be moved
     person: Float[np.ndarray, "4 4"] = field(default_factory=lambda: standing_at(1.33, 0.0))
-    separation: SeparationOptions = CAMERA
-    delay: float = 0.05
+    """T_cell_person, where somebody at the table stands: on the floor, x forward, z up."""
+    separation: SeparationOptions = CAMERA  # constants of speed and separation monitoring
+    delay: float = 0.05  # of the camera, from taking a shot to knowing it [s]
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -102,24 +91,19 @@ class Cell:
         """
         T = np.diag([1.0, -1.0, -1.0, 1.0])
         T[:3, 3] = point
-        T[2, 3] += self.cubes[0].size / 2 - self.grip + above
+        T[2, 3] += Cube.size / 2 - self.grip + above
         return T
 
 
 def standing_at(x: float, y: float) -> Float[np.ndarray, "4 4"]:
     """T_cell_person of somebody who stands at x, y [m] and looks at the arm."""
-    forward = -np.array([x, y]) / np.hypot(x, y)
-    T = np.eye(4)
-    T[:2, 0] = forward
-    T[:2, 1] = -forward[1], forward[0]
-    T[:3, 3] = x, y, TABLE_TOP - TABLE_HEIGHT
-    return T
+    return transform(rotation_z(math.atan2(-y, -x)), np.array([x, y, TABLE_TOP - TABLE_HEIGHT]))
 
 
 CELLS: dict[str, Callable[[], Cell]] = {
     "lab": lambda: Cell(_cubes(0.32, 0.12), person=standing_at(1.15, 0.0), separation=SeparationOptions(), delay=0.04),
     "camera": Cell,
-    "certified": lambda: Cell(separation=replace(CAMERA, least_speed=1.6)),
+    "certified": lambda: Cell(separation=CAMERA._replace(least_speed=1.6)),
 }
 """Cells by name; `certified` takes v_h to be 1.6 m/s (ISO 13855:2010, clause 5) whatever is measured."""
 

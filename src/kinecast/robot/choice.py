@@ -8,12 +8,12 @@ time less the time that the cube takes from rest with nobody there: all of them 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.capsules import Capsules
+from kinecast.robot.body import held
 from kinecast.robot.cell import Cell
 from kinecast.robot.chomp import People
 from kinecast.robot.execution import within_limits
@@ -24,13 +24,7 @@ from kinecast.robot.planner import SPEED, NoPlan, Planner
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Choice", "Chooser", "Option", "Request", "grasp_rows", "options_for"]
-
-
-RISK = 0.2
-"""Price of what the slowest tenth takes longer than the mean [s/s]."""
-WORTH = 0.3
-"""A loss below this is not worth another plan [s]."""
+WORTH = 0.3  # a loss below this is not worth another plan [s]
 GAIN, CHANGE = 0.8, 0.4
 """Another way must be sooner by this, another cube by so much more [s]: predictions flicker."""
 ORDER, TAKEN = 0.3, 2.0
@@ -52,66 +46,43 @@ ERRORS = {
 long enough, or who mind the arm. Of 160 ways in the `camera` cell, seeds 1000 to 1026 of benchmarks.collaboration."""
 
 
-@dataclass(frozen=True, eq=False)
-class Option:
-    """Something to do.
+class Option(NamedTuple):
+    """Something to do."""
 
-    Attributes:
-        step: what the way is for.
-        target: the cube; None to rest.
-        goals: (G, 6) where the way may end [rad].
-        point: (3,) where the gripper then goes down to [m]; None at rest.
-        price: of doing this rather than another, less what it takes from rest with nobody there [s].
-    """
-
-    step: Step
-    target: str | None
-    goals: Float[np.ndarray, "G 6"]
-    point: Float[np.ndarray, "3"] | None
-    price: float = 0.0
+    step: Step  # what the way is for
+    target: str | None  # the cube; None to rest
+    goals: Float[np.ndarray, "G 6"]  # where the way may end [rad]
+    point: Float[np.ndarray, "3"] | None  # where the gripper then goes down to [m]; None at rest
+    price: float = 0.0  # of doing this rather than another, less what it takes from rest with nobody there [s]
 
 
-@dataclass(frozen=True, eq=False)
-class Request:
-    """A choice wanted.
+class Request(NamedTuple):
+    """A choice wanted."""
 
-    Attributes:
-        options: to choose from, the preferred first.
-        q: (6,) where the arm will stand when it begins [rad].
-        start_time: when [s].
-        wait: from now until then [s].
-        motions: of the people from now on (kinecast.robot.motions); None: nobody is there, or nothing is known of them.
-        present: the first of the options, and (W, 6) configurations `STEP` apart in which the arm goes on with it if
-            nothing is changed [rad]; None where it must change, or stands.
-        why: in words, to tell answers apart.
-    """
-
-    options: tuple[Option, ...]
-    q: Float[np.ndarray, "6"]
-    start_time: float
-    wait: float = 0.0
-    motions: Capsules | None = None
+    options: tuple[Option, ...]  # to choose from, the preferred first
+    q: Float[np.ndarray, "6"]  # where the arm will stand when it begins [rad]
+    start_time: float  # when [s]
+    wait: float = 0.0  # from now until then [s]
+    motions: Float[np.ndarray, "S N K 7"] | None = None
+    """Of the people from now on (kinecast.robot.motions); None: nobody is there, or nothing is known of them."""
     present: Float[np.ndarray, "W 6"] | None = None
-    why: str = ""
+    """Configurations `STEP` apart in which the arm goes on with the first of the options if nothing is changed [rad];
+    None where it must change, or stands."""
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """What is best.
+class Choice(NamedTuple):
+    """What is best."""
 
-    Attributes:
-        option: chosen.
-        plan: the way; None: as before.
-        time: from now to the option's end.
-        rows: (W, 6) configurations `STEP` apart to the option's end [rad].
-        wait: until the plan is taken up, of the time; planning itself, mostly [s].
-    """
+    option: Option  # chosen
+    plan: Trajectory | None  # the way; None: as before
+    time: TravelTime  # from now to the option's end
+    rows: Float[np.ndarray, "W 6"]  # configurations `STEP` apart to the option's end [rad]
+    wait: float = 0.0  # until the plan is taken up, of the time; planning itself, mostly [s]
 
-    option: Option
-    plan: Trajectory | None
-    time: TravelTime
-    rows: Float[np.ndarray, "W 6"]
-    wait: float = 0.0
+    @property
+    def cost(self) -> float:
+        """What it costs more than with nobody there [s]."""
+        return self.time.priced + self.option.price
 
     @property
     def foretold(self) -> TravelTime:
@@ -123,51 +94,41 @@ class Chooser:
     """Compares.
 
     Args:
-        planner: of the ways.
+        arm: its kinematics.
         cell: with the cubes, and the constants of monitoring.
     """
 
-    def __init__(self, planner: Planner, cell: Cell) -> None:
-        self.planner, self.cell = planner, cell
+    def __init__(self, arm: UR5, cell: Cell) -> None:
+        self.arm, self.cell, self._planner = arm, cell, Planner(arm, cell.scene)
 
     def choose(self, request: Request) -> Choice | NoPlan:
         """The option and the way that are done soonest, for what they are; or why there is none."""
         best, least = None, np.inf
         if request.present is not None:
-            best = self._timed(request.options[0], None, request.present, request)
-            if best.time.priced(RISK) - best.time.nominal < WORTH:
+            time = travel_time(self.arm, request.present, request.motions, self.cell.separation)
+            best = Choice(request.options[0], None, time, request.present)
+            if best.time.priced - best.time.nominal < WORTH:
                 return best
-            least = self._cost(best) - GAIN
+            least = best.cost - GAIN
         reason = "out of reach"
         ways = []
         for option in request.options:
-            plan = self.planner.plan(request.q, option.goals, request.start_time)
+            plan = self._planner.plan(request.q, option.goals, request.start_time)
             if isinstance(plan, NoPlan):
                 reason = plan.reason
             else:
                 ways.append(self._new(option, plan, request))
-        ways.sort(key=self._cost)
+        ways.sort(key=lambda way: way.cost)
         for choice in (*ways, *self._bent(ways, request)):
-            cost = self._cost(choice)
-            if request.present is not None and choice.option is not request.options[0]:
-                cost += CHANGE
-            if cost < least:
+            changes = request.present is not None and choice.option is not request.options[0]
+            if (cost := choice.cost + CHANGE * changes) < least:
                 best, least = choice, cost
         return NoPlan(reason) if best is None else best
 
     def _new(self, option: Option, plan: Trajectory, request: Request) -> Choice:
-        return self._timed(option, plan, grasp_rows(self.planner.arm, self.cell, plan, option), request)
-
-    def _timed(
-        self, option: Option, plan: Trajectory | None, rows: Float[np.ndarray, "W 6"], request: Request
-    ) -> Choice:
-        wait = 0.0 if plan is None else request.wait
-        time = travel_time(self.planner.arm, rows, request.motions, self.cell.separation, wait)
-        return Choice(option, plan, time, rows, wait)
-
-    def _cost(self, choice: Choice) -> float:
-        """What it costs more than with nobody there [s]."""
-        return choice.time.priced(RISK) + choice.option.price
+        rows = grasp_rows(self.arm, self.cell, plan, option)
+        time = travel_time(self.arm, rows, request.motions, self.cell.separation, request.wait)
+        return Choice(option, plan, time, rows, request.wait)
 
     def _bent(self, ways: list[Choice], request: Request) -> Iterator[Choice]:
         """Where the best of the straight ways is slowed: ways to the same place that bend where speed would be lost."""
@@ -175,42 +136,36 @@ class Chooser:
             return
         best, instants = ways[0], slice(round(FORESEEN / STEP) + 1)
         assert best.plan is not None
-        start, end, radius = request.motions
-        capsules = Capsules(start[:, instants], end[:, instants], radius).regions(LIKELY)
+        capsules = held(request.motions[:, instants], LIKELY)
         times = request.start_time - request.wait + STEP * np.arange(len(capsules))
-        for plan in self.planner.bent(best.plan, People(times, capsules, self.cell.separation)):
+        for plan in self._planner.bent(best.plan, times, People(capsules, self.cell.separation)):
             bent = self._new(best.option, plan, request)
-            if bent.time.priced(RISK) < best.time.priced(RISK) - WORTH:
+            if bent.time.priced < best.time.priced - WORTH:
                 yield bent
 
 
 def options_for(
-    step: Step,
-    target: str | None,
-    sequence: TaskSequence,
-    cell: Cell,
-    places: GraspConfigurations,
-    q: Float[np.ndarray, "6"],
+    step: Step, target: str | None, sequence: TaskSequence, places: GraspConfigurations, q: Float[np.ndarray, "6"]
 ) -> tuple[Option, ...]:
     """What may be done in a step, what the arm is at first: every cube left, the cube's place, or where it rests.
 
     Args:
         step: REACH, CARRY or REST; target: the cube of the arm.
         sequence: cubes left, and who takes them.
-        cell: with the cubes; places: how the arm stands at them.
+        places: how the arm stands at cubes and places.
         q: (6,) where it is [rad].
     """
     if step is Step.REST:
         return (Option(step, target, places.rest(q), None),)
     if step is Step.CARRY:
         assert target is not None
-        place = cell.cube(target).place
+        place = places.cell.cube(target).place
         return (Option(step, target, places.above(place, q), place),)
     found = []
     for name in sorted(sequence.remaining, key=lambda name: name != target):
-        place = cell.cube(name).position
+        place = places.cell.cube(name).position
         price = ORDER * (name != sequence.remaining[0]) + TAKEN * sequence.is_taken(name) - places.usual(place, SPEED)
-        found.append(Option(Step.REACH, name, places.above(place, q), place, price))
+        found.append(Option(step, name, places.above(place, q), place, price))
     return tuple(found)
 
 
@@ -232,4 +187,4 @@ def _followed(trajectory: Trajectory, arm: UR5) -> Float[np.ndarray, "W 6"]:
     """Configurations `STEP` apart as it is followed, the last at its end or a little after [rad]."""
     trajectory = within_limits(trajectory, arm)
     count = int(np.ceil(trajectory.duration / STEP - 1e-6))
-    return trajectory.at(trajectory.times[0] + STEP * np.arange(count + 1))[0]
+    return trajectory.at(trajectory.times[0] + STEP * np.arange(count + 1))

@@ -9,9 +9,8 @@ of the moment at which the waypoint is passed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -20,24 +19,17 @@ from numba import njit
 from kinecast.geometry.distances import point_distance
 from kinecast.geometry.shapes import Capsule
 from kinecast.geometry.transforms import lengths
-from kinecast.robot.capsules import interpolated
 from kinecast.robot.collision import FIRST_LINK
 from kinecast.robot.separation import SeparationOptions
 from kinecast.robot.trajectory import minimum_jerk, rest_to_rest
 from kinecast.robot.ur5 import LINKS, UR5, fixed_places
 
-__all__ = ["Chomp", "People"]
-
-OBSTACLE_STEP, SMOOTH_STEP = 2.0, 0.03
-"""Step sizes η of the two costs."""
-LARGEST_CHANGE = 0.1
-"""Of an angle in one iteration [rad]."""
-SCENE_ZONE, PERSON_ZONE = 0.05, 0.10
-"""The cost rises so far beyond the margin of the scene and of a person [m]."""
+OBSTACLE_STEP, SMOOTH_STEP = 2.0, 0.03  # step sizes η of the two costs
+LARGEST_CHANGE = 0.1  # of an angle in one iteration [rad]
+SCENE_ZONE, PERSON_ZONE = 0.05, 0.10  # the cost rises so far beyond the margin of the scene and of a person [m]
 WANTED = 1.0
 """Speed v₀ of a body point that the arm wants beside people [m/s]: about what it reaches on the way to a cube."""
-TIME_WEIGHT = 0.3
-"""Of the time lost beside people, next to what is in the way."""
+TIME_WEIGHT = 0.3  # of the time lost beside people, next to what is in the way
 ITERATIONS, ITERATIONS_BESIDE = (10, 100), (25, 40)
 """Least and most; it stops between the two once the margins are kept. The second are beside people."""
 PATIENCE, PROGRESS = 20, 1e-3
@@ -49,23 +41,11 @@ SPACING = 1.3
 surface stands out from their balls by 0.24 radii, 0.014 m at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class People:
-    """People beside the path, who cost time.
+class People(NamedTuple):
+    """People beside a path, who cost time: monitoring allows v(d) = √(h² + 2 a (d − C)) − h, where h = v_h + a T_r."""
 
-    Attributes:
-        times: (T,) increasing, T of 1 or more [s].
-        capsules: (T, K, 7) start, end and radius where they are then [m].
-        separation: monitoring, which allows v(d) = √(h² + 2 a (d − C)) − h, where h = v_h + a T_r.
-    """
-
-    times: Float[np.ndarray, " T"]
-    capsules: Float[np.ndarray, "T K 7"]
-    separation: SeparationOptions
-
-    def at(self, times: Float[np.ndarray, " W"]) -> People:
-        """The same people at other times [s]."""
-        return People(times, interpolated(times, self.times, self.capsules), self.separation)
+    capsules: Float[np.ndarray, "W K 7"]  # where they are when each waypoint is passed
+    separation: SeparationOptions  # of monitoring
 
     def price(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time lost per metre, 1/v(d) − 1/v₀, and its slope: straight on below v₀/4, and scaled by its slope there."""
@@ -91,18 +71,19 @@ class Chomp:
     def __init__(self, arm: UR5, obstacles: Float[np.ndarray, "O 17"]) -> None:
         self.arm = arm
         # The arm's own pedestal is in the way too, from the elbow on.
-        self._obstacles = np.concatenate([obstacles, Capsule(*arm.pedestal).row[None]])
-        start, end = np.split(arm.capsule_sites, 2)
-        counts = np.ceil(lengths(end - start) / (SPACING * arm.capsule_radius)).astype(int) + 1
+        self._obstacles = np.concatenate(
+            [obstacles, Capsule(arm.pedestal[:3], arm.pedestal[3:6], arm.pedestal[6]).row[None]]
+        )
+        start, end, radius = arm.links[:, :3], arm.links[:, 3:6], arm.links[:, 6]
+        counts = np.ceil(lengths(end - start) / (SPACING * radius)).astype(int) + 1
         self._sites = np.concatenate([np.linspace(*each) for each in zip(start, end, counts, strict=True)])
         link = np.repeat(np.arange(len(LINKS)), counts)
-        self._joint, self._radius = arm.capsule_joint[link], arm.capsule_radius[link]
+        self._joint, self._radius = arm.link_joint[link], radius[link]
         self._meets = link >= np.array([*[FIRST_LINK] * len(obstacles), LINKS.index("elbow")])[:, None]
 
     def optimise(
         self,
         path: Float[np.ndarray, "W 6"],
-        times: Float[np.ndarray, " W"],
         margin: float,
         people: People | None = None,
     ) -> tuple[Float[np.ndarray, "W 6"], float]:
@@ -110,7 +91,6 @@ class Chomp:
 
         Args:
             path: (W, 6) to begin with [rad]; its ends stay.
-            times: (W,) when each waypoint is passed [s].
             margin: least distance to the obstacles [m].
             people: who cost time.
 
@@ -120,11 +100,10 @@ class Chomp:
         """
         q, metric = np.array(path, dtype=np.float64), _metric(len(path))
         straight = q[0] + minimum_jerk(len(q))[:, None] * (q[-1] - q[0])
-        beside = None if people is None else people.at(times)
         least, most = ITERATIONS if people is None else ITERATIONS_BESIDE
         best, highest, improved, iteration = q.copy(), -np.inf, 0, 0
         while True:
-            gap, torque = self._forces(q, margin, beside)
+            gap, torque = self._forces(q, margin, people)
             if gap > highest:
                 improved = iteration if gap > highest + PROGRESS else improved
                 best, highest = q.copy(), gap
@@ -137,7 +116,7 @@ class Chomp:
             iteration += 1
 
     def _forces(
-        self, q: Float[np.ndarray, "W 6"], margin: float, beside: People | None
+        self, q: Float[np.ndarray, "W 6"], margin: float, people: People | None
     ) -> tuple[float, Float[np.ndarray, "W-2 6"]]:
         """The least distance beyond its margin [m], and ∇U of the inner waypoints without the smoothness."""
         frames = self.arm.frames(q)
@@ -147,10 +126,10 @@ class Chomp:
         gap -= self._radius + margin
         least, (cost, slope) = gap.min(), _cost(gap, SCENE_ZONE)
         pull *= slope[..., None]
-        if beside is not None:
-            gap, away = _nearest_capsules(beside.capsules[1:-1], inner)
+        if people is not None:
+            gap, away = _nearest_capsules(people.capsules[1:-1], inner)
             gap -= self._radius
-            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), beside.price(gap)
+            (near, steep), (lost, steeper) = _cost(gap, PERSON_ZONE), people.price(gap)
             least, cost = min(least, gap.min()), cost + near + lost
             pull += (steep + steeper)[..., None] * away
         if not pull.any():
@@ -233,6 +212,5 @@ def _metric(waypoints: int) -> Float[np.ndarray, "n n"]:
     nodes, weights = np.polynomial.legendre.leggauss(3)
     places = (np.arange(waypoints - 1)[:, None] + 0.5 * (1 + nodes)).ravel()
     K = (jerk(places) * np.sqrt(np.tile(weights, waypoints - 1))[:, None])[:, 1:-1]
-    inverse = np.linalg.inv(K.T @ K)
-    scaled: Float[np.ndarray, "n n"] = inverse / inverse.max()
-    return scaled
+    inverse: Float[np.ndarray, "n n"] = np.linalg.inv(K.T @ K)
+    return inverse / inverse.max()

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,32 +17,24 @@ from kinecast.datasets.recording import Recording
 from kinecast.datasets.repair import repair
 from kinecast.errors import OptionError
 from kinecast.geometry.transforms import apply, inverse, rotation_z, transform
-from kinecast.prediction.method import Method
 from kinecast.prediction.methods import SHIPPED, read_method, read_shipped
-from kinecast.prediction.model_file import ModelCard
 from kinecast.prediction.plugins import is_plugin
 from kinecast.predictor import Predictor, PredictorOptions
-from kinecast.robot.camera import Camera
-from kinecast.robot.cell import Cell, standing_at
-from kinecast.robot.simulated_person import Person, PlayedPerson, ReactivePerson
+from kinecast.robot.cell import Cell, Cube, standing_at
+from kinecast.robot.simulated_person import Camera, Person, PlayedPerson, ReactivePerson
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.types import Prediction, SkeletonFrame, Status
 
-__all__ = ["PREDICTORS", "SCENARIOS", "generated_person", "predictor_named", "replayed_person", "simulate_scenario"]
-
 PREDICTORS = ("kinecast", "gp_constrained", "damped_velocity", "zero_velocity", "reachable", "oracle", "none")
 """What can predict the person: shipped methods; all they can reach; the truth; nothing."""
-SAMPLES = 200
-"""Drawn per prediction."""
-DT, STEPS = 1 / 30, 15
-"""Of predictions that no method makes."""
+SAMPLES = 200  # drawn per prediction
+DT, STEPS = 1 / 30, 15  # of predictions that no method makes
 HORIZON = DT * STEPS
 """Of shipped methods [s]: their whole second gains nothing here (docs/decisions/0029-one-second.md)."""
 SMOOTH = 6.0
 """What limbs do lies below this frequency [Hz], above it is the tracker's noise (D. A. Winter, Biomechanics and Motor
 Control of Human Movement, 2009, 3.4.4: cut-offs of 4 to 8 Hz)."""
-PALM = 0.09
-"""A wrist is this far above a cube that its hand takes [m]."""
+PALM = 0.09  # a wrist is this far above a cube that its hand takes [m]
 
 
 @dataclass(frozen=True)
@@ -75,29 +65,20 @@ SCENARIOS = {
 """The paper's three demonstrations, and a person without a script."""
 
 
-def scripted_person(scenario: Scenario, seed: int, cell: Cell) -> PlayedPerson:
-    """Somebody who reaches for the scenario's cubes at its times."""
-    fetches = [
-        Fetch(start, _wrist_at(cell.cube(name).position, cell.person), hold, scenario.left)
-        for name, start, hold in scenario.fetches
-    ]
-    return _placed(fetching(fetches, 30.0, seed), cell.person)
-
-
 def generated_person(seed: int, cell: Cell) -> PlayedPerson:
     """Somebody who reaches now for a cube, now for another place on the table, and rests between."""
     rng, duration = np.random.default_rng([seed, 1]), 125.0
     placement = standing_at(float(cell.person[0, 3] + rng.uniform(-0.05, 0.05)), float(rng.uniform(-0.12, 0.12)))
-    now, fetches = float(rng.uniform(0.2, 2.0)), []
+    now, reaches = float(rng.uniform(0.2, 2.0)), []
     while now < duration:
         if rng.random() < 0.75:
             place = cell.cube(str(rng.choice(cell.order))).position + rng.uniform(-0.02, 0.02, 3) * [1, 1, 0]
         else:
             place = np.array([rng.uniform(0.55, 0.75), rng.uniform(-0.4, 0.4), cell.cubes[0].position[2]])
         hold = float(rng.uniform(0.3, 1.8))
-        fetches.append(Fetch(now, _wrist_at(place, placement), hold))
+        reaches.append((now, place, hold))
         now += hold + float(rng.uniform(2.0, 5.0))
-    return _placed(fetching(fetches, duration, seed), placement)
+    return _reaching(reaches, placement, duration, seed)
 
 
 def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
@@ -135,9 +116,17 @@ def replayed_person(recording: Recording, cell: Cell) -> PlayedPerson:
     return replace(person, positions=np.where(seen, smooth, np.nan))
 
 
-def _wrist_at(place: Float[np.ndarray, "3"], placement: Float[np.ndarray, "4 4"]) -> np.ndarray:
-    """Where a wrist is, in the person's frame, whose hand is at a place on the table."""
-    return np.array(apply(inverse(placement), place + np.array([0.0, 0.0, PALM - 0.025])))
+def _reaching(
+    reaches: Sequence[tuple[float, np.ndarray, float]],
+    placement: Float[np.ndarray, "4 4"],
+    duration: float,
+    seed: int,
+    left: bool = False,
+) -> PlayedPerson:
+    """Somebody whose hand is at places on the table: start [s], place (3,) [m] and hold [s] of each."""
+    above, T_person_cell = np.array([0.0, 0.0, PALM - Cube.size / 2]), inverse(placement)
+    fetches = [Fetch(start, apply(T_person_cell, place + above), hold, left) for start, place, hold in reaches]
+    return _placed(fetching(fetches, duration, seed), placement)
 
 
 def _placed(recording: Recording, placement: Float[np.ndarray, "4 4"], name: str = "0") -> PlayedPerson:
@@ -163,17 +152,11 @@ def predictor_named(name: str, people: Sequence[Person], samples: int = SAMPLES)
     if name in ("reachable", "oracle"):
         known = {person.name: person for person in people} if name == "oracle" else {}
         return lambda frame, now: _one_motion(frame, now, known.get(frame.person))
-    if name not in SHIPPED and not is_plugin(name):
+    shipped = name in SHIPPED
+    if not shipped and not is_plugin(name):
         raise OptionError(f"predictor {name!r} is none of {', '.join(PREDICTORS)}")
-    card, method = _read(name)
-    return Predictor(
-        method, card.noise, None, PredictorOptions(samples, horizon=HORIZON if name in SHIPPED else None)
-    ).observe
-
-
-@cache
-def _read(name: str) -> tuple[ModelCard, Method[Any]]:
-    return read_shipped(name) if name in SHIPPED else read_method(Path(name))
+    card, method = read_shipped(name) if shipped else read_method(Path(name))
+    return Predictor(method, card.noise, None, PredictorOptions(samples, horizon=HORIZON if shipped else None)).observe
 
 
 def _one_motion(frame: SkeletonFrame, now: float, person: Person | None) -> Prediction:
@@ -208,13 +191,13 @@ def simulate_scenario(
         cell: where; the default one.
 
     Raises:
-        OptionError: no such scenario or predictor.
+        OptionError: no such predictor.
     """
-    if name not in SCENARIOS:
-        raise OptionError(f"scenario {name!r} is none of {', '.join(SCENARIOS)}")
     scenario, cell = SCENARIOS[name], cell or Cell()
-    if person is None:
-        person = scripted_person(scenario, seed, cell) if scenario.fetches else generated_person(seed, cell)
+    if person is None and scenario.fetches:
+        reaches = [(start, cell.cube(cube).position, hold) for cube, start, hold in scenario.fetches]
+        person = _reaching(reaches, cell.person, 30.0, seed, scenario.left)
+    person = person or generated_person(seed, cell)
     people: list[Person] = [person if scenario.fetches else ReactivePerson(person)]
     predict = predictor_named(predictor, people, samples)
     return Simulation(people, predict, Camera(delay=cell.delay, seed=seed), cell, level)

@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError, OptionError
+from kinecast.geometry.distances import HALF_SPACE
 from kinecast.geometry.scene import Scene
-from kinecast.geometry.shapes import Box, Capsule, HalfSpace, Shape, Sphere
+from kinecast.geometry.shapes import Shape
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import LINKS, UR5
 
@@ -16,8 +17,6 @@ try:
     import pinocchio as pin
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
-
-__all__ = ["FIRST_LINK", "CollisionChecker"]
 
 LOOKS = (0.01, 0.002)
 """Largest ways of any point of the arm between two looks at a motion [m]; the second in tight passages."""
@@ -46,7 +45,7 @@ class CollisionChecker:
         for obstacle in self.scene.obstacles:
             if not isinstance(obstacle, Shape):
                 raise OptionError(f"the scene's {type(obstacle).__name__}: around the arm nothing may move by itself")
-            placed = self._geometry.addGeometryObject(pin.GeometryObject("obstacle", 0, *_solid(obstacle)))
+            placed = self._geometry.addGeometryObject(pin.GeometryObject("obstacle", 0, *_solid(obstacle.row)))
             pairs += [(link, placed) for link in range(FIRST_LINK + 1, len(BODIES))]
         for pair in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(*pair))
@@ -74,7 +73,7 @@ class CollisionChecker:
     def looks(self, trajectory: Trajectory, step: float) -> Float[np.ndarray, " N"]:
         """(N,) instants [s] so close together that no point of the arm moves farther than `step` [m] between two."""
         coarse = np.linspace(trajectory.times[0], trajectory.times[-1], 2 * len(trajectory.times))
-        ends = np.concatenate(self.arm.capsules(trajectory.at(coarse)[0])[:2], axis=1)
+        ends = self.arm.capsules(trajectory.at(coarse))[..., :6].reshape(len(coarse), -1, 3)
         way = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1) + 1e-4
         travelled = np.concatenate([[0.0], np.cumsum(way)])
         count = int(np.ceil(travelled[-1] / step)) + 1
@@ -88,20 +87,16 @@ class CollisionChecker:
         """
         found = ""
         for step in LOOKS:
-            rows, _ = trajectory.at(self.looks(trajectory, step))
+            rows = trajectory.at(self.looks(trajectory, step))
             if not (found := next((what for q in rows if (what := self.touched(q, 0.5 * step))), "")):
                 break
         return found
 
 
-def _solid(shape: Shape) -> tuple[pin.SE3, coal.ShapeBase]:
-    """An obstacle's place, and what it is to coal."""
-    rotation, center = shape.row[4:13].reshape(3, 3), shape.row[1:4]
-    if isinstance(shape, Box):
-        return pin.SE3(rotation, center), coal.Box(*map(float, shape.size))
-    if isinstance(shape, Sphere):
-        return pin.SE3(np.eye(3), center), coal.Sphere(shape.radius)
-    if isinstance(shape, Capsule):
-        return pin.SE3(rotation, center), coal.Capsule(shape.radius, float(np.linalg.norm(shape.end - shape.start)))
-    assert isinstance(shape, HalfSpace)
-    return pin.SE3.Identity(), coal.Halfspace(shape.normal, float(shape.normal @ center))
+def _solid(row: Float[np.ndarray, "17"]) -> tuple[pin.SE3, coal.ShapeBase]:
+    """Place and shape of an obstacle (kinecast.geometry.distances) for coal; a sphere is a capsule without length."""
+    center, half, radius = row[1:4], row[13:16], float(row[16])
+    if row[0] == HALF_SPACE:
+        return pin.SE3.Identity(), coal.Halfspace(row[4:7], float(row[4:7] @ center))
+    solid = coal.Capsule(radius, 2.0 * half[2]) if radius else coal.Box(*(2.0 * half))
+    return pin.SE3(row[4:13].reshape(3, 3), center), solid

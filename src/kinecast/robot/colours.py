@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from kinecast.types import RobotState
 
-__all__ = ["CUBE_COLOURS", "INK", "MUTED", "SHIRT", "SKIN", "SKIN_PARTS", "STATES", "Colour", "cube_colour", "hex_of"]
-
 Colour = tuple[int, int, int]
 """Red, green, blue, 0..255."""
 

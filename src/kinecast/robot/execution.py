@@ -23,20 +23,13 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["Executor", "within_limits"]
-
 SHARE = np.array([0.9, 0.6, 0.4])
 """Of the arm's speed, acceleration and jerk that a motion may use by itself: the rest is for changes of its clock."""
-STANDS = 1e-3
-"""Slower than this the arm stands [rad/s]."""
-SAME = 1e-6
-"""From here to there it need not move [rad]."""
-SLOWEST = 1e-3
-"""Speed [rad/s] from which on a motion's clock is limited by it."""
-GENTLEST = 0.5
-"""Change of the clock's rate [1/s] that is always left."""
-FORESIGHT = 0.35
-"""The clock's rate changes, or comes to rest, within so long on the motion [s]."""
+STANDS = 1e-3  # slower than this the arm stands [rad/s]
+SAME = 1e-6  # from here to there it need not move [rad]
+SLOWEST = 1e-3  # speed [rad/s] from which on a motion's clock is limited by it
+GENTLEST = 0.5  # change of the clock's rate [1/s] that is always left
+FORESIGHT = 0.35  # the clock's rate changes, or comes to rest, within so long on the motion [s]
 STEEPEST = (50.0, 2000.0)
 """Changes of the clock's rate that are never needed [1/s, 1/s^2]: a motion that hardly moves would allow any."""
 
@@ -63,8 +56,6 @@ class Executor:
     """
 
     def __init__(self, arm: UR5, dt: float, q: Float[np.ndarray, "6"]) -> None:
-        if not 0 < dt <= 0.1:
-            raise OptionError(f"dt {dt} s is outside (0, 0.1]")
         self.arm, self.dt, self.slider = arm, dt, 1.0
         self.q, self.qd, self.qdd = np.array(q, dtype=np.float64), np.zeros(6), np.zeros(6)
         self._motion: _Motion | None = None
@@ -146,9 +137,7 @@ class Executor:
 
 def within_limits(trajectory: Trajectory, arm: UR5) -> Trajectory:
     """The motion as it is followed: slowed down where the arm could not follow."""
-    limits = np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk])
-    slower = trajectory.excess(SHARE[:, None] * limits)
-    return trajectory if slower <= 1 else trajectory.stretched(slower)
+    return trajectory.within(SHARE[:, None] * np.stack([arm.max_speed, arm.max_acceleration, arm.max_jerk]))
 
 
 class _Motion:
@@ -163,10 +152,11 @@ class _Motion:
         self._ways, self._ends = ways, np.cumsum([way.duration for way in ways])
         self.duration = float(self._ends[-1])
         parts = [np.linspace(0.0, way.duration, 200) for way in ways]
-        rates = [way.derivatives(way.times[0] + since)[1:] for way, since in zip(ways, parts, strict=True)]
-        begins = self._ends - [way.duration for way in ways]
-        self._since = np.concatenate([begin + since for begin, since in zip(begins, parts, strict=True)])
-        first, self._second, third = np.concatenate(rates, axis=1)
+        self._since = np.concatenate([end - part[-1] + part for end, part in zip(self._ends, parts, strict=True)])
+        first, self._second, third = (
+            np.concatenate([way.at(way.times[0] + part, order) for way, part in zip(ways, parts, strict=True)])
+            for order in (1, 2, 3)
+        )
         self._speed = np.maximum(np.abs(first), SLOWEST)
         self._speeding_up = np.sign(first) * self._second  # below 0 where the motion itself slows down
         self._jerk = np.abs(third)
@@ -174,8 +164,10 @@ class _Motion:
 
     def at(self, clock: _Clock) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
         """The arm's state at a clock's reading."""
-        way = min(int(np.searchsorted(self._ends, clock.s, side="right")), len(self._ways) - 1)
-        q, first, second, _ = self._ways[way].derivatives(self._ways[way].times[-1] + clock.s - self._ends[way])
+        k = min(int(np.searchsorted(self._ends, clock.s, side="right")), len(self._ways) - 1)
+        q, first, second = (
+            self._ways[k].at(self._ways[k].times[-1] + clock.s - self._ends[k], order) for order in range(3)
+        )
         return q, first * clock.rate, second * clock.rate**2 + first * clock.change
 
     def bounds(self, s: float, rate: float, braking: bool) -> tuple[float, float]:

@@ -8,42 +8,26 @@ back after as long as they did before, who rests begins as often. Nothing is tra
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.robot.body import body_capsules
-from kinecast.robot.capsules import Capsules, interpolated
+from kinecast.robot.body import body_capsules, interpolated
 from kinecast.types import Prediction, Status
 
-__all__ = ["STEP", "PoseHistory", "arms_at_stamp", "is_trusted", "motions_of"]
-
-STEP = 0.1
-"""Between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]."""
-STALE_AFTER = 0.1
-"""A prediction older than this says no more than what can be reached [s]."""
-AHEAD = 6.0
-"""Motions are carried on so far [s]."""
-SAMPLES = 40
-"""Motions looked at."""
-KEPT = 600
-"""Postures kept of a person: a minute."""
-ENOUGH = 20
-"""Postures from which on the past says something."""
-LEAST = 3
-"""Postures from which on the usual one is known."""
-RETURN = 1.0
-"""Who does what they never did returns to their usual posture in this time [s]."""
-ALIKE = 6
-"""Moments of the past between which is drawn."""
-LOOKBACK = 0.3
-"""A difference in speed counts as the difference in place that it makes in so long [s]."""
-FADE = 0.5
-"""The difference between now and then fades in this time [s]."""
-NEW = 0.3
-"""Root mean square difference of joints [m] from which on nothing in the past is alike."""
+STEP = 0.1  # between two instants of a motion, steps of the roll-out and looked-at configurations of a path [s]
+STALE_AFTER = 0.1  # a prediction older than this says no more than what can be reached [s]
+AHEAD = 6.0  # motions are carried on so far [s]
+SAMPLES = 40  # motions looked at
+KEPT = 600  # postures kept of a person: a minute
+ENOUGH = 20  # postures from which on the past says something
+LEAST = 3  # postures from which on the usual one is known
+RETURN = 1.0  # who does what they never did returns to their usual posture in this time [s]
+ALIKE = 6  # moments of the past between which is drawn
+LOOKBACK = 0.3  # a difference in speed counts as the difference in place that it makes in so long [s]
+FADE = 0.5  # the difference between now and then fades in this time [s]
+NEW = 0.3  # root mean square difference of joints [m] from which on nothing in the past is alike
 
 
 def is_trusted(prediction: Prediction, now: float) -> bool:
@@ -76,7 +60,27 @@ class PoseHistory:
         self._newest = stamp
         self._poses.append(arms)
 
-    def carry_on(
+    def ahead(self, prediction: Prediction, now: float, rng: np.random.Generator) -> Float[np.ndarray, "S N 9 7"]:
+        """Possible motions from now [s] on: as predicted to the horizon, then as the person went on before.
+
+        Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
+
+        Returns:
+            Capsules (kinecast.robot.body) in S samples at N instants, `STEP` apart.
+        """
+        times, samples = prediction.times, prediction.samples
+        if not is_trusted(prediction, now):
+            samples = np.tile(arms_at_stamp(prediction), (1, len(times), 1, 1))
+        samples = samples[np.arange(SAMPLES) * len(samples) // SAMPLES]
+        instants = now + STEP * np.arange(round(AHEAD / STEP) + 1)
+        first = instants <= times[-1] + 1e-9
+        predicted = interpolated(instants[first], times, samples.swapaxes(0, 1)).swapaxes(0, 1)
+        last, before = samples[:, -1], max(len(times) - 4, 0)
+        velocity = (last - samples[:, before]) / max(times[-1] - times[before], 1e-9)
+        later = self._carry_on(last, velocity, int((~first).sum()), rng)
+        return body_capsules(ARM_JOINTS, np.concatenate([predicted, later], axis=1))
+
+    def _carry_on(
         self,
         pose: Float[np.ndarray, "S 6 3"],
         velocity: Float[np.ndarray, "S 6 3"],
@@ -128,33 +132,3 @@ def _alike(
     nearest = np.argpartition(square, min(ALIKE, len(usable) - 1), axis=1)[:, :ALIKE]
     moment = np.take_along_axis(nearest, rng.integers(nearest.shape[1], size=(len(pose), 1)), axis=1)[:, 0]
     return moment, square[np.arange(len(pose)), moment] > 6 * NEW**2
-
-
-def motions_of(predictions: Sequence[Prediction], histories: Sequence[PoseHistory], now: float) -> Capsules:
-    """Possible motions of several people from now [s] on, one prediction and one past each.
-
-    Who is not to be trusted with a prediction stands where they were last seen, until they go on as before.
-
-    Returns:
-        Everybody's capsules in S samples at N instants, `STEP` apart: ends (S, N, K, 3).
-    """
-    rng = np.random.default_rng(round(1e3 * now))
-    arms = np.stack([_arms(*each, now, rng) for each in zip(predictions, histories, strict=True)], axis=2)
-    body, whole = body_capsules(ARM_JOINTS, arms), (*arms.shape[:2], -1, 3)
-    return Capsules(body.start.reshape(whole), body.end.reshape(whole), np.tile(body.radius, len(predictions)))
-
-
-def _arms(
-    prediction: Prediction, history: PoseHistory, now: float, rng: np.random.Generator
-) -> Float[np.ndarray, "S N 6 3"]:
-    """One person's arms from now on: as predicted to the horizon, then as they went on before."""
-    times, samples = prediction.times, prediction.samples
-    if not is_trusted(prediction, now):
-        samples = np.tile(arms_at_stamp(prediction), (1, len(times), 1, 1))
-    samples = samples[np.arange(SAMPLES) * len(samples) // SAMPLES]
-    instants = now + STEP * np.arange(round(AHEAD / STEP) + 1)
-    first = instants <= times[-1] + 1e-9
-    predicted = interpolated(instants[first], times, samples.swapaxes(0, 1)).swapaxes(0, 1)
-    last, before = samples[:, -1], max(len(times) - 4, 0)
-    velocity = (last - samples[:, before]) / max(times[-1] - times[before], 1e-9)
-    return np.concatenate([predicted, history.carry_on(last, velocity, int((~first).sum()), rng)], axis=1)

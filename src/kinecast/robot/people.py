@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -12,57 +12,32 @@ from jaxtyping import Float
 from kinecast.body.skeleton import ARM_JOINTS, arms_of
 from kinecast.geometry.distances import limb_distances
 from kinecast.geometry.shapes import Sphere
-from kinecast.robot.body import MEASURED_BODY, BodySize, body_capsules
-from kinecast.robot.camera import CameraFrame
-from kinecast.robot.capsules import Capsules, interpolated
-from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted, motions_of
+from kinecast.robot.body import HAND_LENGTH, MEASURED_BODY, body_capsules, held, interpolated
+from kinecast.robot.motions import PoseHistory, arms_at_stamp, is_trusted
+from kinecast.robot.separation import Moving
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["PeopleModel", "Seen", "occupied", "reach_probabilities"]
-
-SLOPE = 0.14
-"""Span of the measurements over which a joint's speed is taken [s]."""
-FORGET = 0.5
-"""A person who was not on any shot for this long has left [s]."""
-HARDEST = 10.0
-"""No joint gains speed faster [m/s²]: beyond that it is the tracking."""
+SLOPE = 0.14  # span of the measurements over which a joint's speed is taken [s]
+FORGET = 0.5  # a person who was not on any shot for this long has left [s]
+HARDEST = 10.0  # no joint gains speed faster [m/s²]: beyond that it is the tracking
 FASTEST = np.array([2.0] * 6 + [1.6] * 3)
 """Approach of the capsules (kinecast.robot.body.PARTS) [m/s], ISO 13855:2010, 6.2.3: upper limbs 2.0 below 0.5 m, a
 body at a walk 1.6."""
-TOUCH = 0.06
-"""A limb that comes this near to a cube's middle may take it [m]."""
+TOUCH = 0.06  # a limb that comes this near to a cube's middle may take it [m]
 MOST_SAMPLES = 100
 """Samples that a probability is counted over: more cost time, and its standard error is 0.05 at most."""
-MOMENT = 1e-5
-"""Capsules' velocities are those of their joints over so long [s]."""
+MOMENT = 1e-5  # capsules' velocities are those of their joints over so long [s]
 ARM_PARTS = ("shoulder", "elbow", "wrist")
-NO_HAND = BodySize(hand_length=0.0)
-"""For values that belong to joints and are no places."""
+
+NOBODY = Moving(np.empty((0, 7)), np.empty((0, 6)), np.empty(0))
 
 
-class Seen(NamedTuple):
-    """The K capsules of everybody.
+@dataclass(frozen=True)
+class CameraFrame:
+    """Everybody seen at one instant. An empty one says that nobody is there; a silent camera says nothing."""
 
-    Attributes:
-        start, end: (K, 3) where they were last seen [m]; NaN where never. radius: (K,) [m].
-        start_velocity, end_velocity: (K, 3) of their ends [m/s], in the middle of the last measurements; NaN where not
-            known.
-        start_velocity_now, end_velocity_now: (K, 3) as they are by now, gaining speed as they did [m/s]; NaN where not
-            known.
-        age: (K,) of the oldest joint behind each [s].
-    """
-
-    start: Float[np.ndarray, "K 3"]
-    end: Float[np.ndarray, "K 3"]
-    radius: Float[np.ndarray, " K"]
-    start_velocity: Float[np.ndarray, "K 3"]
-    end_velocity: Float[np.ndarray, "K 3"]
-    start_velocity_now: Float[np.ndarray, "K 3"]
-    end_velocity_now: Float[np.ndarray, "K 3"]
-    age: Float[np.ndarray, " K"]
-
-
-NOBODY = Seen(*(np.empty(0) if name in ("radius", "age") else np.empty((0, 3)) for name in Seen._fields))
+    stamp: float  # when it was taken [s]
+    frames: tuple[SkeletonFrame, ...]  # one for each person
 
 
 class PeopleModel:
@@ -92,19 +67,24 @@ class PeopleModel:
         """Persons of whom an arm's joint was never seen: nobody knows where it is."""
         return [name for name, track in self._tracks.items() if not np.isfinite(track.arms).all()]
 
-    def seen(self, now: float) -> Seen:
-        """Everybody's capsules as last seen."""
+    def seen(self, now: float) -> Moving:
+        """Everybody's capsules where they were last seen.
+
+        Each as fast as it was in the middle of the last measurements, and, where that is known, once more as fast as it
+        is by now, gaining speed as it did.
+        """
         each = [NOBODY, *(track.seen(now) for track in self._tracks.values())]
-        return Seen(*map(np.concatenate, zip(*each, strict=True)))
+        return Moving(*map(np.concatenate, zip(*each, strict=True)))
 
     def trusted(self, now: float) -> list[Prediction]:
         """Predictions that say more than what can be reached."""
         return [each for each in self.predictions if is_trusted(each, now)]
 
-    def motions(self, now: float) -> Capsules | None:
+    def motions(self, now: float) -> Float[np.ndarray, "S N K 7"] | None:
         """What everybody may do in the next seconds (kinecast.robot.motions); None where nothing is predicted."""
-        histories = [self._tracks[each.person].history for each in self.predictions]
-        return motions_of(self.predictions, histories, now) if histories else None
+        rng = np.random.default_rng(round(1e3 * now))
+        each = [self._tracks[one.person].history.ahead(one, now, rng) for one in self.predictions]
+        return np.concatenate(each, axis=2) if each else None
 
     def taken(self, cubes: Mapping[str, Float[np.ndarray, "3"]], now: float) -> dict[str, float]:
         """Probability that somebody reaches for each of the cubes, given where they are [m]; 1 where a hand is."""
@@ -112,7 +92,7 @@ class PeopleModel:
         chance = np.zeros(len(places))
         for track in self._tracks.values():
             for wrist in track.arms[[2, 5]]:
-                near = np.linalg.norm(places - wrist, axis=1) <= MEASURED_BODY.hand + MEASURED_BODY.hand_length + TOUCH
+                near = np.linalg.norm(places - wrist, axis=1) <= HAND_LENGTH + MEASURED_BODY[2] + TOUCH
                 chance = np.maximum(chance, near)
         for prediction in self.trusted(now):
             chance = np.maximum(chance, reach_probabilities(prediction, places))
@@ -145,13 +125,13 @@ class _Track:
         velocity, acceleration, self._lag = self._rates()
         self._capsules = body_capsules(self.joints, self._last)
         self._velocity, self._acceleration = self._of_capsules(velocity), self._of_capsules(acceleration)
-        first = body_capsules(self.joints, self._seen_at, NO_HAND)
-        self._oldest = np.minimum(first.start[:, 0], first.end[:, 0])
+        # As if stamps were places, for the oldest joint behind each capsule.
+        self._oldest = body_capsules(self.joints, self._seen_at, hand_length=0.0)[:, [0, 3]].min(axis=1)
 
-    def _of_capsules(self, rate: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "2 K 3"]:
+    def _of_capsules(self, rate: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "K 6"]:
         """Rates of starts and ends, whatever joints they hang on: by the capsules of joints a moment later."""
         moved = body_capsules(self.joints, self._last + MOMENT * rate)
-        return (np.stack(moved[:2]) - np.stack(self._capsules[:2])) / MOMENT
+        return (moved - self._capsules)[:, :6] / MOMENT
 
     def _rates(self) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3"], float]:
         """Velocity (J, 3) [m/s] and acceleration (J, 3) [m/s²] of each joint, and how long ago the velocity was [s].
@@ -177,10 +157,11 @@ class _Track:
             values[lost] = values[shoulders].mean(axis=0)
         return slope, curve, float(stamps[-1] - stamps.mean())
 
-    def seen(self, now: float) -> Seen:
-        since = self._lag + now - self.stamp
-        later = self._velocity + since * self._acceleration
-        return Seen._make([*self._capsules, *self._velocity, *later, now - self._oldest])
+    def seen(self, now: float) -> Moving:
+        later = self._velocity + (self._lag + now - self.stamp) * self._acceleration
+        known = np.append(np.full(len(later), True), np.isfinite(later).all(axis=1))
+        twice = (self._capsules, self._capsules), (self._velocity, later), (now - self._oldest,) * 2
+        return Moving(*(np.concatenate(each)[known] for each in twice))
 
 
 def occupied(predictions: Sequence[Prediction], now: float, at: float, level: float = 0.95) -> Float[np.ndarray, "K 7"]:
@@ -198,13 +179,12 @@ def occupied(predictions: Sequence[Prediction], now: float, at: float, level: fl
     """
     found = [np.empty((0, 7))]
     for prediction in predictions:
-        start, end, radius = body_capsules(ARM_JOINTS, arms_at_stamp(prediction))
-        reached = radius + FASTEST * max(at - prediction.stamp, 0.0)
-        rows = np.column_stack([start, end, reached])
+        rows = body_capsules(ARM_JOINTS, arms_at_stamp(prediction))
+        rows[:, 6] += FASTEST * max(at - prediction.stamp, 0.0)
         if is_trusted(prediction, now) and np.isfinite(prediction.samples).all():
             [arms] = interpolated(np.array([at]), prediction.times, prediction.samples.swapaxes(0, 1))
-            held = body_capsules(ARM_JOINTS, arms).regions(level)
-            rows = np.where((rows[:, 6] < held[:, 6])[:, None], rows, held)
+            likely = held(body_capsules(ARM_JOINTS, arms), level)
+            rows = np.where(rows[:, 6:] < likely[:, 6:], rows, likely)
         found.append(rows[np.isfinite(rows).all(axis=1)])
     return np.concatenate(found)
 
@@ -215,8 +195,8 @@ def reach_probabilities(prediction: Prediction, points: Float[np.ndarray, "C 3"]
     A limb that is NaN may be anywhere, so it does.
     """
     samples = prediction.samples[:: max(1, -(-len(prediction.samples) // MOST_SAMPLES))]
-    body, thick = body_capsules(ARM_JOINTS, samples), MEASURED_BODY.radii[:6]
-    ends = np.concatenate([body.start[..., :6, :], body.end[..., :6, :]], axis=-2)
+    arms, thick = body_capsules(ARM_JOINTS, samples)[..., :6, :], MEASURED_BODY[:6]
+    ends = np.concatenate([arms[..., :3], arms[..., 3:6]], axis=-2)
     axes, most = np.arange(12).reshape(2, 6).T, float(thick.max()) + 1e-6
     balls = (np.tile(Sphere(point, TOUCH).row, (samples.shape[1], 1, 1)) for point in points)
     touched = (~(limb_distances(ball, ends, axes, most) > thick) for ball in balls)

@@ -13,19 +13,13 @@ from kinecast.robot.cell import Cell
 from kinecast.robot.trajectory import Trajectory, minimum_jerk
 from kinecast.robot.ur5 import LINKS, UR5
 
-__all__ = ["GraspConfigurations", "Step", "TaskSequence", "nearest", "postures", "straight"]
-
-VERTICAL = 0.5
-"""Greatest speed of the straight ways down and up [m/s]."""
-DWELL = 0.25
-"""Time the gripper takes [s]."""
+VERTICAL = 0.5  # greatest speed of the straight ways down and up [m/s]
+DWELL = 0.25  # time the gripper takes [s]
 WAYPOINTS = 9
 CONTINUOUS = 0.8
 """Between two waypoints of a straight line no angle changes by more than this, or the arm would flip over [rad]."""
-ELBOW_ABOVE = 0.1
-"""The elbow stays this much higher than the tool [m]: over the table, not beside it."""
-TAKEN = 0.5
-"""Probability from which on a cube is the person's, at once."""
+ELBOW_ABOVE = 0.1  # the elbow stays this much higher than the tool [m]: over the table, not beside it
+TAKEN = 0.5  # probability from which on a cube is the person's, at once
 FREE, AFTER = 0.2, 0.5
 """Probability below which it may be the arm's again, once it has stayed below for so long [s]."""
 
@@ -44,21 +38,6 @@ class Step(Enum):
     RISE = "up from the cube"
     REST = "to where it rests"
 
-    @property
-    def planned(self) -> bool:
-        """Whether its path is the planner's."""
-        return self in (Step.REACH, Step.CARRY, Step.REST)
-
-    @property
-    def grasping(self) -> bool:
-        """Whether it belongs to taking the cube."""
-        return self in (Step.DESCEND, Step.CLOSE, Step.LIFT)
-
-    @property
-    def placing(self) -> bool:
-        """Whether it belongs to putting it down."""
-        return self in (Step.LOWER, Step.OPEN, Step.RISE)
-
 
 class TaskSequence:
     """The cubes still to be moved, in order.
@@ -69,6 +48,7 @@ class TaskSequence:
 
     def __init__(self, order: tuple[str, ...]) -> None:
         self.remaining = list(order)
+        self.placed: dict[str, float] = {}
         self.given_up: list[str] = []
         self.probabilities = dict.fromkeys(order, 0.0)
         self._taken = dict.fromkeys(order, False)
@@ -93,14 +73,15 @@ class TaskSequence:
         """Whether the cube is the person's for now."""
         return self._taken[name]
 
-    def finish(self, name: str) -> None:
-        """The cube is in its place."""
+    def finish(self, name: str, now: float) -> None:
+        """The cube is in its place [s]."""
         self.remaining.remove(name)
+        self.placed[name] = now
 
-    def give_up(self, name: str) -> None:
-        """The cube cannot be had."""
-        self.remaining.remove(name)
-        self.given_up.append(name)
+    def give_up(self) -> None:
+        """What is left cannot be had."""
+        self.given_up += self.remaining
+        self.remaining.clear()
 
 
 def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.0) -> Float[np.ndarray, "B 6"]:
@@ -119,7 +100,7 @@ def postures(arm: UR5, T_world_tool: Float[np.ndarray, "4 4"], below: float = 0.
         T = T_world_tool.copy()
         T[:3, :3] = rotation_z(quarter * np.pi / 2) @ T[:3, :3]
         rows = arm.inverse_kinematics(T)
-        rows = rows[arm.capsules(rows).start[:, LINKS.index("elbow"), 2] > T[2, 3] + ELBOW_ABOVE]
+        rows = rows[arm.capsules(rows)[:, LINKS.index("elbow"), 2] > T[2, 3] + ELBOW_ABOVE]
         if below:
             T[2, 3] -= below
             lower = arm.inverse_kinematics(T)
@@ -132,18 +113,15 @@ def nearest(
     rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"], q_range: Float[np.ndarray, "6 2"], most: int = 8
 ) -> Float[np.ndarray, "G 6"]:
     """The postures soonest reached from q [rad], with the full turns within range that bring each nearest."""
-    turns = np.round((q - rows) / (2 * np.pi)) * 2 * np.pi
-    turned = rows + turns
+    turned = rows + np.round((q - rows) / (2 * np.pi)) * 2 * np.pi
     turned = np.where((turned < q_range[:, 0]) | (turned > q_range[:, 1]), rows, turned)
     way = np.abs(turned - q).max(axis=1, initial=0.0)  # the joint with the longest way says how long it takes
-    first: Float[np.ndarray, "G 6"] = turned[np.argsort(way, kind="stable")[:most]]
-    return first
+    return np.asarray(turned[np.argsort(way, kind="stable")[:most]])
 
 
 def _change(rows: Float[np.ndarray, "B 6"], q: Float[np.ndarray, "6"]) -> Float[np.ndarray, " B"]:
     """Largest change of an angle from q to each row, full turns aside."""
-    largest: Float[np.ndarray, " B"] = np.abs((rows - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1, initial=0.0)
-    return largest
+    return np.asarray(np.abs((rows - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1, initial=0.0))
 
 
 def straight(arm: UR5, q: Float[np.ndarray, "6"], to: Float[np.ndarray, "3"], start_time: float) -> Trajectory | None:
@@ -182,7 +160,7 @@ class GraspConfigurations:
     """
 
     def __init__(self, arm: UR5, cell: Cell) -> None:
-        self._range = arm.q_range
+        self.cell, self._range = cell, arm.q_range
         self._resting = postures(arm, cell.grasp(cell.rest))
         self._above = {
             tuple(point): postures(arm, cell.grasp(point, cell.hover), cell.hover)

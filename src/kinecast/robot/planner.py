@@ -8,14 +8,15 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import count, pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.scene import Scene
+from kinecast.robot.body import interpolated
 from kinecast.robot.chomp import Chomp, People
 from kinecast.robot.collision import CollisionChecker
 from kinecast.robot.pick_place import nearest, postures
@@ -29,47 +30,31 @@ try:
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
 
-__all__ = ["SPEED", "NoPlan", "Planner", "searched"]
-
-SPEED, ACCELERATION, JERK = 1.57, 4.0, 75.0
+LIMITS = SPEED, ACCELERATION, JERK = np.array([1.57, 4.0, 75.0])
 """Greatest of an angle [rad/s, rad/s^2, rad/s^3]: half of the speed that the arm can do, as beside people nothing is
 gained by more; less than half of its acceleration and jerk, the rest is for braking."""
 TOLERANCE = 1.02
 """A motion that needs so many times its time to be within these is within them; others are slowed to as much less."""
-SHORTEST = 0.4
-"""Duration of the shortest motion [s]."""
-WAYPOINTS, BENT_WAYPOINTS = 40, 24
-"""Of a path, and of one that bends around people."""
-LEG = 14
-"""Waypoints of a straight leg between two corners."""
-STRAIGHT_GOALS = 2
-"""Goals tried from a straight way, the best first."""
-SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)
-"""Least distances from the scene that the descent keeps, in turn [m]."""
-SEARCH_MARGINS = (0.003, 0.001)
-"""Kept by searched paths [m], in turn: what follows them cuts corners."""
+SHORTEST = 0.4  # duration of the shortest motion [s]
+WAYPOINTS, BENT_WAYPOINTS = 40, 24  # of a path, and of one that bends around people
+LEG = 14  # waypoints of a straight leg between two corners
+STRAIGHT_GOALS = 2  # goals tried from a straight way, the best first
+SCENE_MARGINS = (0.005, 0.01, 0.015, 0.02)  # least distances from the scene that the descent keeps, in turn [m]
+SEARCH_MARGINS = (0.003, 0.001)  # kept by searched paths [m], in turn: what follows them cuts corners
 SEARCH_STEP = 0.07
 """Way over all angles between two looks at an edge [rad], 0.06 m at full reach; plans are checked finely again."""
-SHORTCUTS = 60
-"""Tries to shorten a path that was found."""
-DRAWN_IN = (0.3, 0.3)
-"""Distance from the arm's axis and height of a hand that is drawn in [m]."""
+SHORTCUTS = 60  # tries to shorten a path that was found
+DRAWN_IN = (0.3, 0.3)  # distance from the arm's axis and height of a hand that is drawn in [m]
 ROOM, ROOM_WORTH = 0.1, 2.0
 """So much room around a goal [m], from the scene and from the arm itself, is worth a later arrival [s/m]."""
 _ONE_SEARCH_AT_A_TIME = threading.Lock()
 
 
-@dataclass(frozen=True)
-class NoPlan:
-    """No motion was found.
+class NoPlan(NamedTuple):
+    """No motion was found."""
 
-    Attributes:
-        reason: in words.
-        crashed: whether the planner failed rather than found nothing.
-    """
-
-    reason: str
-    crashed: bool = False
+    reason: str  # in words
+    crashed: bool = False  # whether the planner failed rather than found nothing
 
 
 class Planner:
@@ -100,11 +85,9 @@ class Planner:
         Returns:
             A motion that was checked, from rest to rest, or why there is none.
         """
-        if not np.isfinite(q).all():
-            return NoPlan("the arm's state is not known")
         if self.checker.touched(q):
             return NoPlan("the arm touches the scene or itself")
-        if len(goals) == 0 or not np.isfinite(goals).all():
+        if len(goals) == 0:
             return NoPlan("the goal is out of reach")
         goals = self._usable(q, goals)
         if not len(goals):
@@ -124,18 +107,20 @@ class Planner:
                     return found
         return NoPlan(f"{found} is in the way; no way around it")
 
-    def bent(self, trajectory: Trajectory, people: People) -> Iterator[Trajectory]:
+    def bent(self, trajectory: Trajectory, times: Float[np.ndarray, " T"], people: People) -> Iterator[Trajectory]:
         """Ways to where a plan leads that bend where speed would be lost beside people: from its own side, and inside.
 
         Args:
             trajectory: the plan with nobody there.
-            people: where they may be; they are no obstacles, they cost time.
+            times: (T,) increasing, T of 1 or more [s].
+            people: where they may be at these times; they are no obstacles, they cost time.
         """
         q, goal, start_time = trajectory.q[0], trajectory.q[-1], float(trajectory.times[0])
         for corners in (np.stack([q, goal]), *self._inside(q, goal)):
-            path, times = _along(corners, BENT_WAYPOINTS, start_time)
-            path, _ = self._chomp.optimise(path, times, SCENE_MARGINS[0], people)
-            bent = _slow_enough(Trajectory(times, path))
+            path, passed = _along(corners, BENT_WAYPOINTS, start_time)
+            beside = People(interpolated(passed, times, people.capsules), people.separation)
+            path, _ = self._chomp.optimise(path, SCENE_MARGINS[0], beside)
+            bent = Trajectory(passed, path).within(LIMITS, TOLERANCE)
             if not self.checker.check(bent):
                 yield bent
 
@@ -160,8 +145,8 @@ class Planner:
         path, times = _along(corners, WAYPOINTS, start_time)
         blocked = ""
         for margin in SCENE_MARGINS:
-            path, excess = self._chomp.optimise(path, times, margin)
-            trajectory = _slow_enough(Trajectory(times, path))
+            path, excess = self._chomp.optimise(path, margin)
+            trajectory = Trajectory(times, path).within(LIMITS, TOLERANCE)
             blocked = self.checker.check(trajectory)
             if not blocked:
                 return trajectory
@@ -199,11 +184,8 @@ def searched(
         iterations: of the search at most, about 0.5 ms each.
         seed: of the search; the same seed gives the same path.
     """
-    free = [goal for goal in goals if not checker.touched(goal, margin)]
-    if not free or checker.touched(start, margin):
-        return None
     left = count(iterations, -1)
-    ends, bounds = np.stack([start, *free]), ob.RealVectorBounds(6)
+    ends, bounds = np.stack([start, *goals]), ob.RealVectorBounds(6)
     low = np.maximum(ends.min(axis=0) - np.pi, checker.arm.q_range[:, 0])
     high = np.minimum(ends.max(axis=0) + np.pi, checker.arm.q_range[:, 1])
     with _ONE_SEARCH_AT_A_TIME:
@@ -221,7 +203,7 @@ def searched(
         setup.setStateValidityChecker(lambda state: not checker.touched(_angles(state), margin))
         setup.addStartState(_state(space, start))
         targets = ob.GoalStates(information)
-        for goal in free:
+        for goal in goals:
             targets.addState(_state(space, goal))
         setup.setGoal(targets)
         setup.setPlanner(og.RRTConnect(information))
@@ -252,7 +234,7 @@ def _along(
     keep = np.concatenate([[True], legs > 0])
     along = np.concatenate([[0.0], np.cumsum(legs)])[keep]
     share = minimum_jerk(waypoints) * along[-1]
-    path = np.stack([np.interp(share, along, column) for column in corners[keep].T], axis=1)
+    path = interpolated(share, along, corners[keep])
     return path, start_time + np.linspace(0.0, _duration(np.abs(np.diff(path, axis=0)).sum(axis=0)), waypoints)
 
 
@@ -262,9 +244,3 @@ def _duration(way: Float[np.ndarray, "6"]) -> float:
     return max(
         1.875 * longest / SPEED, (5.7735 * longest / ACCELERATION) ** 0.5, (60 * longest / JERK) ** (1 / 3), SHORTEST
     )
-
-
-def _slow_enough(trajectory: Trajectory) -> Trajectory:
-    """The motion in as much time as the limits need."""
-    excess = trajectory.excess(np.array([SPEED, ACCELERATION, JERK]), 100)
-    return trajectory.stretched(TOLERANCE * excess) if excess > TOLERANCE else trajectory

@@ -19,15 +19,10 @@ from jaxtyping import Float
 
 from kinecast.errors import ArmError
 
-__all__ = ["PORT", "Reading", "Rtde"]
-
 PORT = 30004
-RATES = {"CB3": 125.0, "e-Series": 500.0}
-"""Of the controllers' real-time loops [Hz]."""
-LONGEST = 1e9
-"""Seconds that no controller has been running."""
-AT_ONCE = 1 << 19
-"""Bytes read at once: 5 s of states."""
+RATES = {"CB3": 125.0, "e-Series": 500.0}  # of the controllers' real-time loops [Hz]
+LONGEST = 1e9  # seconds that no controller has been running
+AT_ONCE = 1 << 19  # bytes read at once: 5 s of states
 
 OUTPUTS = {
     "timestamp": "DOUBLE", "actual_q": "VECTOR6D", "actual_TCP_pose": "VECTOR6D", "target_speed_fraction": "DOUBLE",

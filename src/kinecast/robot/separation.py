@@ -11,30 +11,18 @@ quadratic in v_r: its root is the speed the arm may have.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from kinecast.errors import OptionError
-from kinecast.robot.capsules import Capsules
-
-__all__ = ["Moving", "Separation", "SeparationOptions", "allowed_speed", "closest_points", "moving", "separation"]
-
-UNKNOWN = 1.6
-"""v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5)."""
-OLDEST = 0.1
-"""A measurement older than this does not say how fast the person is [s]."""
-
-Rows = Float[np.ndarray, "_ 3"]
-Moving = tuple[Rows, Rows, Float[np.ndarray, " _"], Rows, Rows]
-"""K capsules: start and end (K, 3) [m], radius (K,) [m], velocities of start and end (K, 3) [m/s]."""
+UNKNOWN = 1.6  # v_h of a person whose speed is not measured [m/s] (ISO 13855:2010, clause 5)
+STANDS = 1e-6  # an arm slower than this stands [m/s]
+OLDEST = 0.1  # a measurement older than this does not say how fast the person is [s]
 
 
-@dataclass(frozen=True)
-class SeparationOptions:
+class SeparationOptions(NamedTuple):
     """The terms of S_p.
 
     Attributes:
@@ -55,72 +43,49 @@ class SeparationOptions:
     robot_error: float = 0.005
     across: float = 0.3
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = 1e-6 if name in ("reaction", "braking") else 0.0
-            if not value >= least:
-                raise OptionError(f"{name} {value} must be {least:g} or more")
-
     @property
     def constant(self) -> float:
         """C + Z_d + Z_r [m]."""
         return self.intrusion + self.person_error + self.robot_error
 
 
-@dataclass(frozen=True)
-class Separation:
-    """What the distance between arm and persons allows.
+class Separation(NamedTuple):
+    """What the distance between arm and persons allows."""
 
-    Attributes:
-        distance: least distance between them [m]; inf without a person.
-        required: S_p at the present speed of the pair of capsules with the least margin [m].
-        margin: least d − S_p over all pairs [m].
-        scale: share of the present speed at which d ≥ S_p for every pair, 0..1; 1 where it may go on or draws back.
-    """
-
-    distance: float = math.inf
-    required: float = 0.0
-    margin: float = math.inf
-    scale: float = 1.0
+    distance: float = math.inf  # least between them [m]; inf without a person
+    required: float = 0.0  # S_p at the present speed of the pair of capsules with the least margin [m]
+    margin: float = math.inf  # least d − S_p over all pairs [m]
+    scale: float = 1.0  # share of the present speed at which every d ≥ S_p; 1 where it may go on or draws back
 
 
-def moving(capsules: Capsules, seconds: float) -> Moving:
-    """The first of two sets of capsules (2, K), as fast as it becomes the second in so long [s]."""
-    (start, later), (end, end_later) = capsules.start, capsules.end
-    return start, end, capsules.radius, (later - start) / seconds, (end_later - end) / seconds
+class Moving(NamedTuple):
+    """Capsules that move."""
+
+    capsules: Float[np.ndarray, "K 7"]  # start, end and radius [m]; NaN, and left out, where nobody knows
+    velocity: Float[np.ndarray, "K 6"]  # of both ends [m/s]; NaN where not known
+    age: Float[np.ndarray, " K"]  # of the measurements behind them [s]
 
 
-def separation(
-    arm: Moving,
-    person: Moving,
-    options: SeparationOptions,
-    age: Float[np.ndarray, " K"] | None = None,
-    person_now: tuple[Rows, Rows] | None = None,
-) -> Separation:
-    """Compares every capsule of the arm with every capsule of the persons.
+def moving(capsules: Float[np.ndarray, "2 K 7"], seconds: float) -> Moving:
+    """The first of two sets of capsules, as fast as it becomes the second in so long [s]."""
+    return Moving(capsules[0], (capsules[1] - capsules[0])[:, :6] / seconds, np.zeros(capsules.shape[1]))
 
-    Args:
-        arm: its capsules.
-        person: those of all persons; one that is NaN is left out: nobody knows where it is. A velocity that is NaN is
-            not known.
-        options: see SeparationOptions.
-        age: (K,) of the measurements [s]; 0 by default.
-        person_now: other estimates of the velocities: the one that is faster towards the arm counts; NaN where there is
-            none.
-    """
-    o = options
-    age = np.zeros(len(person[2])) if age is None else age
-    constants = o.reaction, o.braking, o.least_speed, o.constant, o.across
-    return Separation(*map(float, _separation(*arm, *person, *(person_now or person[3:]), age, *constants)))
+
+def separation(arm: Moving, people: Moving, options: SeparationOptions) -> Separation:
+    """Compares every capsule of the arm with every capsule of the persons."""
+    return Separation(*map(float, compare(arm, people, options, 0.0, False)))
 
 
 @njit(cache=True)
 @no_type_check
-def closest_points(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> tuple[float, float]:
-    """Where along two segments their nearest points lie, 0..1 each (Ericson, Real-Time Collision Detection, 5.1.9)."""
+def closest_points(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """Where along two segments (start and end of each) their nearest points lie, 0..1 each.
+
+    C. Ericson, Real-Time Collision Detection, 5.1.9.
+    """
     aa = bb = ab = ar = br = 0.0
     for k in range(3):
-        u, v, r = a1[k] - a0[k], b1[k] - b0[k], a0[k] - b0[k]
+        u, v, r = a[3 + k] - a[k], b[3 + k] - b[k], a[k] - b[k]
         aa, bb, ab = aa + u * u, bb + v * v, ab + u * v
         ar, br = ar + u * r, br + v * r
     cross = aa * bb - ab * ab
@@ -132,48 +97,88 @@ def closest_points(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarra
 
 @njit(cache=True)
 @no_type_check
-def allowed_speed(room: float, human: float, reaction: float, braking: float) -> float:
-    """Greatest v_r [m/s] whose S_r + S_s and v_h T_s fit into the room left [m]: the quadratic's root."""
-    half = braking * reaction + human
-    square = half * half + 2.0 * braking * room
-    return math.sqrt(square) - half if room > 0.0 else 0.0
+def compare(arm, people, o, noise, scale_only):
+    """The fields of a `Separation`, where a noise [m/s] adds to the speed that people seem to come with.
+
+    Pairs that surely change nothing are passed over: of the scale, where that alone is wanted.
+    """
+    distance = margin = 0.0 if scale_only else np.inf
+    needed, scale = 0.0, 1.0
+    links, limbs = _bounds(arm), _bounds(people)
+    for i in range(len(links)):
+        fastest = links[i, 4] * math.sqrt(1.0 + o.across * o.across)
+        if scale_only and fastest <= STANDS:
+            continue
+        for j in range(len(limbs)):
+            age = people.age[j]
+            known = age <= OLDEST and not math.isnan(limbs[j, 4])
+            coming = max(limbs[j, 4] + noise, o.least_speed) if known else UNKNOWN
+            squared = 0.0
+            for k in range(3):
+                squared += (links[i, k] - limbs[j, k]) ** 2
+            least = math.sqrt(squared) - links[i, 3] - limbs[j, 3]
+            if least >= distance and least - _required(fastest, coming, age, o) >= max(margin, 0.0):
+                continue
+            apart, robot, human = _approach(arm, i, people, j, o.across)
+            if math.isnan(apart):
+                continue
+            human = max(human + noise if known else UNKNOWN, o.least_speed)
+            asked = _required(robot, human, age, o)
+            distance = min(distance, apart)
+            if apart - asked < margin:
+                margin, needed = apart - asked, asked
+            if robot > STANDS and apart < asked:
+                # The greatest v_r whose S_r + S_s and v_h T_s fit into the room left: the quadratic's root.
+                half, room = o.braking * o.reaction + human, apart - _required(0.0, human, age, o)
+                root = math.sqrt(half * half + 2.0 * o.braking * max(room, 0.0)) - half
+                scale = min(scale, root / robot)
+    return distance, needed, margin, scale
 
 
 @njit(cache=True)
 @no_type_check
-def _separation(
-    a0, a1, ar, va0, va1, b0, b1, br, vb0, vb1, wb0, wb1, age, reaction, braking, least, constant, across,
-):  # fmt: skip
-    nearest, worst, required, scale = np.inf, np.inf, 0.0, 1.0
-    for i in range(len(ar)):
-        for j in range(len(br)):
-            s, t = closest_points(a0[i], a1[i], b0[j], b1[j])
-            gap, way = np.zeros(3), 0.0
-            for k in range(3):
-                gap[k] = (b0[j, k] + t * (b1[j, k] - b0[j, k])) - (a0[i, k] + s * (a1[i, k] - a0[i, k]))
-                way += gap[k] * gap[k]
-            way = math.sqrt(way)
-            if not way >= 0.0:  # NaN
-                continue
-            distance = way - ar[i] - br[j]
-            robot = human = gaining = speed = 0.0
-            for k in range(3):
-                direction = gap[k] / max(way, 1e-9)
-                robot += direction * ((1 - s) * va0[i, k] + s * va1[i, k])
-                speed += ((1 - s) * va0[i, k] + s * va1[i, k]) ** 2
-                human -= direction * ((1 - t) * vb0[j, k] + t * vb1[j, k])
-                gaining -= direction * ((1 - t) * wb0[j, k] + t * wb1[j, k])
-            if not abs(human) < np.inf or age[j] > OLDEST:
-                human = UNKNOWN
-            elif gaining > human:
-                human = gaining
-            robot += across * math.sqrt(max(speed - robot * robot, 0.0))
-            human, robot = max(human, least), max(robot, 0.0)
-            fixed = constant + human * (age[j] + reaction)
-            needed = fixed + human * robot / braking + robot * reaction + robot * robot / (2 * braking)
-            nearest = min(nearest, distance)
-            if distance - needed < worst:
-                worst, required = distance - needed, needed
-            if robot > 1e-6 and distance < needed:
-                scale = min(scale, allowed_speed(distance - fixed, human, reaction, braking) / robot)
-    return nearest, required, worst, scale
+def _required(robot, human, age, o):
+    """S_p [m]."""
+    return (
+        o.intrusion + o.person_error + o.robot_error
+        + human * (age + o.reaction + robot / o.braking)
+        + robot * (o.reaction + robot / (2.0 * o.braking))
+    )  # fmt: skip
+
+
+@njit(cache=True)
+@no_type_check
+def _bounds(these):
+    """(K, 5) middle (3) and radius [m] of a ball around each capsule, and the speed of its faster end [m/s]."""
+    out = np.empty((len(these.capsules), 5))
+    for i in range(len(out)):
+        length = start = end = 0.0
+        for k in range(3):
+            a, b = these.capsules[i, k], these.capsules[i, 3 + k]
+            out[i, k] = 0.5 * (a + b)
+            length += (b - a) ** 2
+            start += these.velocity[i, k] ** 2
+            end += these.velocity[i, 3 + k] ** 2
+        out[i, 3] = 0.5 * math.sqrt(length) + these.capsules[i, 6]
+        out[i, 4] = math.sqrt(max(start, end)) if start + end >= 0.0 else math.nan
+    return out
+
+
+@njit(cache=True)
+@no_type_check
+def _approach(arm, i, people, j, across):
+    """Distance of two capsules [m], and the speeds of their nearest points towards one another [m/s]."""
+    a, b, va, vb = arm.capsules[i], people.capsules[j], arm.velocity[i], people.velocity[j]
+    s, t = closest_points(a, b)
+    squared = robot = human = speed = 0.0
+    for k in range(3):
+        gap = b[k] + t * (b[3 + k] - b[k]) - (a[k] + s * (a[3 + k] - a[k]))
+        velocity = (1.0 - s) * va[k] + s * va[3 + k]
+        squared += gap * gap
+        speed += velocity * velocity
+        robot += gap * velocity
+        human -= gap * ((1.0 - t) * vb[k] + t * vb[3 + k])
+    way = math.sqrt(squared)
+    robot /= max(way, 1e-9)
+    robot += across * math.sqrt(max(speed - robot * robot, 0.0))
+    return way - a[6] - b[6], max(robot, 0.0), human / max(way, 1e-9)

@@ -1,23 +1,24 @@
-"""People in the cell: played from recorded or generated positions."""
+"""People in the cell, played from recorded or generated positions, and what a depth camera makes of them."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
-from kinecast.robot.body import TRUE_BODY, body_capsules
+from kinecast.robot.body import TRUE_BODY, body_capsules, interpolated
+from kinecast.robot.people import CameraFrame
 from kinecast.robot.separation import Moving, SeparationOptions, moving, separation
+from kinecast.types import SkeletonFrame
 
-__all__ = ["Person", "PlayedPerson", "ReactivePerson"]
-
-MARGIN, FORESIGHT = 0.06, 0.25
-"""A person goes no nearer to the arm than this [m], and looks so far ahead [s]."""
-CHANGE = 5.0
-"""How fast they slow down and take up again, of their own speed [1/s]."""
+RATE = 30.0  # of the camera's shots [Hz]
+MARGIN, FORESIGHT = 0.06, 0.25  # a person goes no nearer to the arm than this [m], and looks so far ahead [s]
+PATIENCE = 1.0
+"""How long they wait, and how long they draw back at first [s]; so much longer each time in a row."""
+CHANGE = 5.0  # how fast they slow down and take up again, of their own speed [1/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +34,6 @@ class PlayedPerson:
     positions: Float[np.ndarray, "N J 3"]  # in the cell [m]
 
     def __post_init__(self) -> None:
-        if len(self.stamps) == 0 or not np.all(np.diff(self.stamps) > 0):
-            raise OptionError(f"person {self.name!r}: stamps must rise, and there must be one")
         whole = self.positions.copy()
         for column in whole.reshape(len(whole), -1).T:
             seen = np.isfinite(column)
@@ -44,12 +43,7 @@ class PlayedPerson:
 
     def at(self, time: float) -> Float[np.ndarray, "J 3"]:
         """(J, 3) positions in the cell [m]."""
-        if len(self.stamps) == 1:
-            return self.positions[0]
-        after = int(np.clip(np.searchsorted(self.stamps, time, side="right"), 1, len(self.stamps) - 1))
-        before, end = self.stamps[after - 1], self.stamps[after]
-        share = min(max((time - before) / (end - before), 0.0), 1.0)
-        return np.asarray((1 - share) * self.positions[after - 1] + share * self.positions[after])
+        return interpolated(np.array([time]), self.stamps, self.positions)[0]
 
 
 class ReactivePerson:
@@ -61,11 +55,10 @@ class ReactivePerson:
 
     Args:
         person: what they want to do.
-        patience: how long they wait, and how long they draw back at first [s]; so much longer each time in a row.
     """
 
-    def __init__(self, person: PlayedPerson, patience: float = 1.0) -> None:
-        self.person, self.patience = person, patience
+    def __init__(self, person: PlayedPerson) -> None:
+        self.person = person
         self.name, self.joints = person.name, person.joints
         self._times, self._clocks, self._rate = [0.0], [0.0], 1.0
         self._blocked_since: float | None = None
@@ -89,10 +82,10 @@ class ReactivePerson:
         self._times.append(now)
         self._clocks.append(clock)
         waited = 0.0 if self._blocked_since is None else now - self._blocked_since
-        if clock > self._furthest + self.patience:  # they got past it
+        if clock > self._furthest + PATIENCE:  # they got past it
             self._tries, self._furthest = 1, clock
-        back = self.patience <= waited < (1 + self._tries) * self.patience
-        if waited >= (1 + self._tries) * self.patience:
+        back = PATIENCE <= waited < (1 + self._tries) * PATIENCE
+        if waited >= (1 + self._tries) * PATIENCE:
             self._blocked_since, self._tries = None, self._tries + 1
             self._furthest = max(self._furthest, clock)
         wish = -1.0 if back else 1.0
@@ -111,3 +104,34 @@ class ReactivePerson:
 
 Person = PlayedPerson | ReactivePerson
 """Somebody whose joints are known at every instant: the truth, which only the simulation sees."""
+
+
+@dataclass
+class Camera:
+    """A camera and its tracker: takes a shot at every multiple of its period, noisy, late, with gaps."""
+
+    delay: float = 0.04  # from taking to knowing [s]: exposure, pose estimation, network
+    noise: float = 0.002  # standard deviation of each coordinate [m]; HA4M: 1.3 mm at the neck to 2.4 mm at a wrist
+    lost: float = 0.01  # share of shots in which one arm is not seen
+    dropped: float = 0.005  # share of shots that never arrive
+    seed: int = 0  # of the noise
+    _next: int = field(default=0, init=False)
+
+    def shots(self, now: float, people: Sequence[Person]) -> list[CameraFrame]:
+        """Shots that have become known by now and were not handed over before, oldest first."""
+        due = []
+        while (stamp := self._next / RATE) + self.delay <= now + 1e-9:
+            rng = np.random.default_rng([self.seed, self._next])  # of this shot: what happens before changes nothing
+            if rng.random() >= self.dropped:
+                due.append(CameraFrame(stamp, tuple(self._frame(rng, stamp, person) for person in people)))
+            self._next += 1
+        return due
+
+    def _frame(self, rng: np.random.Generator, stamp: float, person: Person) -> SkeletonFrame:
+        pose = person.at(stamp)
+        seen = pose + rng.normal(0.0, 1.0, pose.shape) * self.noise
+        if rng.random() < self.lost:
+            side = "left" if rng.random() < 0.5 else "right"
+            parts = ("wrist",) if rng.random() < 0.5 else ("elbow", "wrist")
+            seen[[name in {f"{side}_{part}" for part in parts} for name in person.joints]] = np.nan
+        return SkeletonFrame(stamp, person.joints, seen, person.name, "cell")

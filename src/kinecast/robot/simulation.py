@@ -8,37 +8,29 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.errors import OptionError
 from kinecast.robot.async_planner import AsyncPlanner, Solve
 from kinecast.robot.body import TRUE_BODY, body_capsules
-from kinecast.robot.camera import Camera
-from kinecast.robot.cell import Cell
+from kinecast.robot.cell import Cell, Cube
 from kinecast.robot.choice import Chooser
-from kinecast.robot.episode import Episode, SceneSnapshot, Tick
+from kinecast.robot.episode import Episode, Outcome, SceneSnapshot, Tick, outcome_of
 from kinecast.robot.people import occupied
 from kinecast.robot.pick_place import nearest, postures
-from kinecast.robot.planner import Planner
 from kinecast.robot.separation import Moving, Separation, SeparationOptions, moving, separation
-from kinecast.robot.simulated_person import Person, ReactivePerson
+from kinecast.robot.simulated_person import Camera, Person, ReactivePerson
 from kinecast.robot.supervisor import Command, Supervisor
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, SkeletonFrame
 
-__all__ = ["Predict", "SimulatedDriver", "Simulation"]
-
 Predict = Callable[[SkeletonFrame, float], Prediction | None]
 """Takes a frame and the present time; None where nothing is predicted."""
 
-MOMENT = 0.01
-"""A person's true speed is taken over this time [s]."""
-SHOWN = 60
-"""Samples kept for pictures."""
+MOMENT = 0.01  # a person's true speed is taken over this time [s]
+SHOWN = 60  # samples kept for pictures
 TRUTH = SeparationOptions(reaction=1e-3, least_speed=0.0, person_error=0.0, robot_error=0.0, across=0.0)
 """Monitoring that knows everything."""
 UPRIGHT = np.array([-0.9, -1.5, -1.6, -1.6, 1.57, 0.0])
 """The arm begins as near to this as it can rest: elbow up, over the table's side [rad]."""
-HOLDS = 0.04
-"""A cube is held when its centre is this near to where the fingers close [m]."""
+HOLDS = 0.04  # a cube is held when its centre is this near to where the fingers close [m]
 
 
 class SimulatedDriver:
@@ -58,21 +50,18 @@ class SimulatedDriver:
     """
 
     def __init__(self, arm: UR5, cell: Cell, q: Float[np.ndarray, "6"], dt: float = 0.008) -> None:
-        if not dt > 0:
-            raise OptionError(f"dt {dt} s must be above 0")
         self.arm, self.dt, self.q = arm, dt, np.array(q, dtype=np.float64)
         self.cubes = {cube.name: cube.position.copy() for cube in cell.cubes}
         self.held: str | None = None
         self.gripped = False
-        self._below = cell.cubes[0].size / 2 - cell.grip
+        self._below = Cube.size / 2 - cell.grip
 
     def move(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
         """Goes there, or as far as the joints' speeds allow, and takes a cube that is held with it."""
-        if np.isfinite(q).all():
-            furthest = self.arm.max_speed * self.dt
-            self.q = self.q + np.clip(q - self.q, -furthest, furthest)
-            if self.held is not None:
-                self.cubes[self.held] = self._between_fingers()
+        furthest = self.arm.max_speed * self.dt
+        self.q = self.q + np.clip(q - self.q, -furthest, furthest)
+        if self.held is not None:
+            self.cubes[self.held] = self._between_fingers()
         return self.q
 
     def grip(self, closed: bool) -> None:
@@ -80,9 +69,8 @@ class SimulatedDriver:
         self.gripped, self.held = closed, None
         if closed:
             here = self._between_fingers()
-            away = {name: float(np.linalg.norm(place - here)) for name, place in self.cubes.items()}
-            nearest_cube = min(away, key=away.__getitem__)
-            self.held = nearest_cube if away[nearest_cube] < HOLDS else None
+            away, name = min((float(np.linalg.norm(place - here)), name) for name, place in self.cubes.items())
+            self.held = name if away < HOLDS else None
 
     def _between_fingers(self) -> Float[np.ndarray, " 3"]:
         T = self.arm.forward_kinematics(self.q)
@@ -101,7 +89,6 @@ class Simulation:
         solve: the planner; the arm's own by default.
         dt: time between two control steps [s].
         limit: when it is over at the latest [s].
-        clock: that latencies are taken by [s]; nothing that happens depends on it.
     """
 
     def __init__(
@@ -114,50 +101,41 @@ class Simulation:
         solve: Solve | None = None,
         dt: float = 0.008,
         limit: float = 120.0,
-        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.arm, self.cell = UR5(), cell or Cell()
         self.people, self.predict, self.limit, self.level = people, predict, limit, level
         self.camera = camera or Camera(delay=self.cell.delay)
         q = nearest(postures(self.arm, self.cell.grasp(self.cell.rest)), UPRIGHT, self.arm.q_range)[0]
         self.driver = SimulatedDriver(self.arm, self.cell, q, dt)
-        self._clock = clock
-        chooser = Chooser(Planner(self.arm, self.cell.scene), self.cell)
-        self.planner = AsyncPlanner(solve or chooser.choose, clock=clock)
+        self.planner = AsyncPlanner(solve or Chooser(self.arm, self.cell).choose)
         self.supervisor = Supervisor(self.arm, self.cell, self.planner, q, dt)
-        self.episode = Episode()
+        sequence = self.supervisor.sequence
+        self.episode = Episode(forecasts=self.supervisor.forecasts, placed=sequence.placed, given_up=sequence.given_up)
 
-    def run(self) -> Episode:
-        """To the end: every cube in its place, or out of time."""
-        for _ in self.steps():
-            pass
-        return self.episode
+    def outcome(self) -> Outcome:
+        """Its figures so far."""
+        return outcome_of(self.episode, self.people, self.cell)
 
     def steps(self) -> Iterator[Command]:
-        """Step by step; each yields what the arm was told."""
+        """Step by step to the end, every cube in its place or out of time; each yields what the arm was told."""
         episode, dt = self.episode, self.driver.dt
         for index in range(round(self.limit / dt)):
             episode.end = index * dt
             yield self._step(episode.end)
             if self.supervisor.done:
                 break
-        episode.replans = self.supervisor.replans
-        episode.forecasts = [
-            (took, time.mean, time.quantile(0.05), time.quantile(0.95)) for took, time in self.supervisor.forecasts
-        ]
-        episode.given_up = tuple(self.supervisor.sequence.given_up)
 
     def _step(self, now: float) -> Command:
         episode, supervisor = self.episode, self.supervisor
         shots = self.camera.shots(now, self.people)
-        began, planned = self._clock(), self.planner.worked
+        began, planned = time.perf_counter(), self.planner.worked
         for shot in shots:
             predictions = [self.predict(frame, now) for frame in shot.frames]
             supervisor.see(shot, [each for each in predictions if each is not None], now)
         command = supervisor.control(now)
         planning = self.planner.worked - planned
         if shots:
-            episode.latencies.append(self._clock() - began - planning)
+            episode.latencies.append(time.perf_counter() - began - planning)
         if planning > 0:
             episode.plannings.append(planning)
         before = self.driver.q
@@ -168,10 +146,6 @@ class Simulation:
         for person in self.people:
             if isinstance(person, ReactivePerson):
                 person.mind(arm, now)
-        sequence = supervisor.sequence
-        for name in self.cell.order:
-            if name not in (*episode.placed, *sequence.remaining, *sequence.given_up):
-                episode.placed[name] = now
         if command.news:
             episode.decisions.append(command.decision)
         if shots:
@@ -192,7 +166,7 @@ class Simulation:
             distance=min(each.distance for each in found),
             required=worst.required,
             margin=worst.margin,
-            arm_speed=float(np.linalg.norm(arm[3:], axis=-1).max()),
+            arm_speed=float(np.linalg.norm(arm.velocity.reshape(-1, 3), axis=-1).max()),
             measured=decision.distance,
             limit=decision.separation,
         )

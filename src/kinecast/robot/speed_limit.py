@@ -13,22 +13,13 @@ from kinecast.robot.people import PeopleModel
 from kinecast.robot.separation import Separation, SeparationOptions, moving, separation
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["Level", "LimitReason", "SpeedHysteresis", "SpeedLimit", "speed_limit"]
-
-SILENCE = 0.2
-"""Without a shot for this long, nobody knows who is there [s]."""
-DOUBT = 0.75
-"""Share of the planned speed beside somebody whose prediction is not OK, or too old."""
-SETTLE = 0.15
-"""Going faster, or another reason for going slowly, is new only after so long [s]."""
-STILL = 0.02
-"""Share of the planned speed below which the arm stands."""
-FREE = 0.95
-"""Share above which nothing holds it back."""
-BRAKED = 0.5
-"""Share below which being held back is said at once."""
-MOMENT = 1e-3
-"""Capsules' velocities are taken over this time [s]."""
+SILENCE = 0.2  # without a shot for this long, nobody knows who is there [s]
+DOUBT = 0.75  # share of the planned speed beside somebody whose prediction is not OK, or too old
+SETTLE = 0.15  # going faster, or another reason for going slowly, is new only after so long [s]
+STILL = 0.02  # share of the planned speed below which the arm stands
+FREE = 0.95  # share above which nothing holds it back
+BRAKED = 0.5  # share below which being held back is said at once
+MOMENT = 1e-3  # capsules' velocities are taken over this time [s]
 
 
 class LimitReason(Enum):
@@ -39,6 +30,10 @@ class LimitReason(Enum):
     SEPARATION = "A person is too near to move."
     SILENCE = "The camera is silent: nobody knows who is there."
     UNSEEN = "Somebody is there whose arms were never seen."
+
+
+HELD, SLOW, FULL = range(3)  # how fast it has been going for a while
+BLIND = {LimitReason.SILENCE, LimitReason.UNSEEN}  # nobody knows where somebody is
 
 
 class SpeedLimit(NamedTuple):
@@ -71,12 +66,8 @@ def speed_limit(
     """
     seen = people.seen(now)
     present, full = (
-        separation(
-            moving(arm.capsules(np.stack([q, q + MOMENT * qd])), MOMENT), seen[:5], monitoring, seen.age,
-            (seen.start_velocity_now, seen.end_velocity_now),
-        )
-        for qd in velocities
-    )  # fmt: skip
+        separation(moving(arm.capsules(np.stack([q, q + MOMENT * qd])), MOMENT), seen, monitoring) for qd in velocities
+    )
     # The arm may not yet move as its path says, or not as fast: both what it does and what it is about to do count.
     measured = min(full.scale, present.scale * speed if present.scale < 1.0 else 1.0)
     limits = [(1.0, LimitReason.NOTHING)]
@@ -88,16 +79,8 @@ def speed_limit(
         limits.append((0.0, LimitReason.SILENCE))
     if people.unseen():
         limits.append((0.0, LimitReason.UNSEEN))
-    least = min(limit for limit, _ in limits)
-    return SpeedLimit(least, [reason for limit, reason in limits if limit <= least][-1], present)
-
-
-class Level(Enum):
-    """How fast it has been going for a while."""
-
-    HELD = "not at all"
-    SLOW = "more slowly"
-    FULL = "at full speed"
+    least, reason = min(reversed(limits), key=lambda each: each[0])
+    return SpeedLimit(least, reason, present)
 
 
 class SpeedHysteresis:
@@ -105,21 +88,21 @@ class SpeedHysteresis:
 
     def __init__(self) -> None:
         self.speed = 0.0
-        self.level, self.reason = Level.FULL, LimitReason.NOTHING
+        self.level, self.reason = FULL, LimitReason.NOTHING
         self._now, self._since = 0.0, -float("inf")
 
     def begin(self) -> None:
         """On a new path, which begins gently by itself."""
         self.speed = 1.0
-        self.level, self._since = Level.FULL, self._now
+        self.level, self._since = FULL, self._now
 
     def update(self, limit: SpeedLimit, most: float, now: float) -> None:
         """Takes in what holds the arm back, and the share that it may go at for other reasons too [0..1]."""
         self.speed = min(most, self.speed + RISE * (now - self._now))
         self._now = now
-        level = Level.FULL if limit.speed > FREE else Level.SLOW if limit.speed > STILL else Level.HELD
-        same = level is self.level and limit.reason is self.reason
-        braked = level is Level.HELD or (level is Level.SLOW and self.level is Level.FULL and limit.speed < BRAKED)
-        blind = {LimitReason.SILENCE, LimitReason.UNSEEN} & {self.reason, limit.reason}
+        level = sum(limit.speed > share for share in (STILL, FREE))
+        same = level == self.level and limit.reason is self.reason
+        braked = level == HELD or (level == SLOW and self.level == FULL and limit.speed < BRAKED)
+        blind = BLIND & {self.reason, limit.reason}
         if same or braked or blind or now - self._since >= SETTLE:
             self.level, self.reason, self._since = level, limit.reason, now

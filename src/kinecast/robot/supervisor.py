@@ -17,44 +17,33 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from kinecast.robot.async_planner import AsyncPlanner
-from kinecast.robot.camera import CameraFrame
+from kinecast.robot.async_planner import LATENCY, AsyncPlanner
+from kinecast.robot.body import interpolated
 from kinecast.robot.cell import Cell
 from kinecast.robot.choice import Choice, Request, options_for
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime
 from kinecast.robot.motions import STEP
-from kinecast.robot.people import PeopleModel
+from kinecast.robot.people import CameraFrame, PeopleModel
 from kinecast.robot.pick_place import DWELL, GraspConfigurations, Step, TaskSequence, straight
-from kinecast.robot.planner import NoPlan
 from kinecast.robot.separation import Separation
-from kinecast.robot.speed_limit import MOMENT, LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
+from kinecast.robot.speed_limit import BLIND, HELD, MOMENT, SLOW, LimitReason, SpeedHysteresis, SpeedLimit, speed_limit
 from kinecast.robot.trajectory import Trajectory
 from kinecast.robot.ur5 import UR5
-from kinecast.robot.wording import reason_of, state_of
 from kinecast.types import Decision, Prediction, Reaction, RobotState
-
-__all__ = ["Command", "Supervisor"]
 
 log = logging.getLogger(__name__)
 
-AGAIN = 0.3
-"""Between two looks for something better [s]."""
-RETRY, ATTEMPTS = 0.5, 3
-"""After a search that failed [s]; and so often a place is tried that cannot be reached."""
+AGAIN = 0.3  # between two looks for something better [s]
+RETRY, ATTEMPTS = 0.5, 3  # after a search that failed [s]; and so often a place is tried that cannot be reached
 EVADE = 2.0
 """Held back for this long by somebody who comes to where it stands, the arm draws back [s] (docs/decisions/0028)."""
-HELD = 0.1
-"""Share of the planned speed below which it does not get anywhere."""
-NEAR_ENOUGH = 0.05
-"""A path is followed from where the arm stands if it begins no farther away than this [rad]."""
+STUCK = 0.1  # share of the planned speed below which it does not get anywhere
+NEAR_ENOUGH = 0.05  # a path is followed from where the arm stands if it begins no farther away than this [rad]
 NEXT = dict(pairwise((*tuple(Step)[1:9], Step.NONE))) | {Step.REST: Step.NONE}
 """What follows a step that has ended: from REACH to RISE in their order."""
-AFTER_EVADING = {
-    Step.REACH: Step.REACH, Step.DESCEND: Step.REACH, Step.LIFT: Step.CARRY, Step.CARRY: Step.CARRY,
-    Step.LOWER: Step.CARRY,
-}  # fmt: skip
-"""What a step that was held becomes."""
+EVADABLE = (Step.REACH, Step.DESCEND, Step.LIFT, Step.CARRY, Step.LOWER)  # steps in which it may be held
+GRASPING, PLACING = (Step.DESCEND, Step.CLOSE, Step.LIFT), (Step.LOWER, Step.OPEN, Step.RISE)
 
 
 class Command(NamedTuple):
@@ -83,7 +72,6 @@ class Supervisor:
         self.sequence = TaskSequence(cell.order)
         self.step = Step.NONE
         self.target: str | None = None
-        self.replans = 0
         self.forecasts: list[tuple[float, TravelTime]] = []
         """How long each way to the end of a grasp or a placing took [s], and how long it was to take when begun."""
         self._places = GraspConfigurations(arm, cell)
@@ -113,7 +101,7 @@ class Supervisor:
         if self._trajectory is None:
             return np.repeat(self.executor.q[None], len(seconds), axis=0)
         end = float(self._trajectory.times[-1])
-        return self._trajectory.at(end - self.executor.remaining + seconds)[0]
+        return self._trajectory.at(end - self.executor.remaining + seconds)
 
     def see(self, shot: CameraFrame, predictions: Sequence[Prediction], now: float) -> None:
         """Takes in a shot and what is predicted from it, one prediction a person; none means: nothing is predicted."""
@@ -158,7 +146,7 @@ class Supervisor:
         self._taken = taken
         under_way = self._trajectory is not None and self.step in (Step.REACH, Step.CARRY) and not self.busy
         if under_way and now - self._asked >= AGAIN and self.people.predictions:
-            self._ask("better", now)
+            self._ask(now, better=True)
 
     @property
     def busy(self) -> bool:
@@ -167,14 +155,14 @@ class Supervisor:
 
     def _evade(self, now: float) -> None:
         """Draws back where it is held for long, and takes its step up again from there."""
-        held = self._limit.speed < HELD and self._limit.reason in (LimitReason.DOUBT, LimitReason.SEPARATION)
-        if not held or self.step not in AFTER_EVADING:
+        held = self._limit.speed < STUCK and self._limit.reason in (LimitReason.DOUBT, LimitReason.SEPARATION)
+        if not held or self.step not in EVADABLE:
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now
         elif now - self._held_since >= EVADE and self._trajectory is not None:
             self._held_since, self._foretold = None, None
-            self._then = AFTER_EVADING[self.step]
+            self._then = Step.CARRY if self._closed else Step.REACH
             self._travel(Step.REST, now)
 
     # Steps
@@ -190,7 +178,7 @@ class Supervisor:
                 self._begin(NEXT[self.step], now)
         elif self._trajectory is None:
             if not self.busy and now >= self._not_before:
-                self._ask("path", now)
+                self._ask(now)
         elif self.executor.done:
             if self.step in (Step.LIFT, Step.RISE) and self._foretold is not None:
                 self.forecasts.append((now - self._foretold[0], self._foretold[1]))
@@ -199,7 +187,7 @@ class Supervisor:
 
     def _begin(self, step: Step, now: float) -> None:
         """Sets about a step."""
-        if step.planned:
+        if step in (Step.REACH, Step.CARRY, Step.REST):
             self._travel(step, now)
         elif step in (Step.CLOSE, Step.OPEN):
             self._closed, self._since = step is Step.CLOSE, now
@@ -208,7 +196,7 @@ class Supervisor:
             self._go_straight(step, now)
         elif self.step is Step.RISE:
             assert self.target is not None
-            self.sequence.finish(self.target)
+            self.sequence.finish(self.target, now)
             self.target = None
             self._stand(Step.NONE)
             self._choose(now)
@@ -236,7 +224,7 @@ class Supervisor:
         self._failures, self._trouble = 0, ""
         if self.executor.done:
             self._trajectory = None
-        self._ask("path", now)
+        self._ask(now)
 
     def _go_straight(self, step: Step, now: float) -> None:
         """Down to a cube or its place, or up again; stays where the arm cannot."""
@@ -261,19 +249,18 @@ class Supervisor:
 
     # Plans
 
-    def _ask(self, why: str, now: float) -> None:
-        """Asks for the best way, or a `better` one, from where the arm will stand if it brakes at the answer."""
-        q = self.executor.q
-        options = options_for(self.step, self.target, self.sequence, self.cell, self._places, q)
+    def _ask(self, now: float, better: bool = False) -> None:
+        """Asks for the best way, or a better one, from where the arm will stand if it brakes at the answer."""
+        options = options_for(self.step, self.target, self.sequence, self._places, self.executor.q)
         if not any(len(option.goals) for option in options):
             self._no_way("out of reach", now)
             return
         self._asked = now
-        stop, seconds = self.executor.stopping(self.planner.latency)
-        start_time = now + max(self.planner.latency, seconds)
-        present = self._present() if why == "better" else None
+        stop, seconds = self.executor.stopping(LATENCY)
+        start_time = now + max(LATENCY, seconds)
+        present = self._present() if better else None
         motions = None if self.step is Step.REST else self.people.motions(now)
-        self.planner.ask(Request(options, stop, start_time, start_time - now, motions, present, why), now)
+        self.planner.ask(Request(options, stop, start_time, start_time - now, motions, present), now)
 
     def _present(self) -> Float[np.ndarray, "W 6"] | None:
         """Configurations `STEP` apart in which it goes on as it does, to the end of what it is about to do [rad]."""
@@ -281,50 +268,44 @@ class Supervisor:
             return None
         rows = self._choice.rows
         passed = max(self._trajectory.duration - self.executor.remaining, 0.0) / STEP
-        places = np.append(np.arange(passed, len(rows) - 1), len(rows) - 1)
-        return np.stack([np.interp(places, np.arange(len(rows)), column) for column in rows.T], axis=1)
+        return interpolated(
+            np.append(np.arange(passed, len(rows) - 1), len(rows) - 1), np.arange(float(len(rows))), rows
+        )
 
     def _take_answer(self, now: float) -> None:
-        """Looks whether there is one; follows what it says as soon as the arm stands."""
+        """Takes in an answer, if there is one, and follows what it says as soon as the arm stands."""
         asked, answer = self.planner.pending, self.planner.answer(now)
-        if asked is not None and answer is not None:
-            self._hear(asked, answer, now)
-        if self._next is None or not self.executor.at_rest:
-            return
+        if isinstance(answer, Choice):
+            if answer.option.step is self.step:  # one to the step before comes too late
+                self._failures, self._trouble = 0, ""
+                if answer.plan is not None:
+                    self._take_up(answer)
+        elif answer is not None and asked is not None:
+            if asked.present is not None:
+                self._asked = now + RETRY
+            elif answer.crashed:
+                self._trouble, self._not_before = f"No path: {answer.reason}.", now + RETRY
+            else:
+                self._no_way(answer.reason, now)
         choice = self._next
-        assert choice.plan is not None  # as it was looked at before it was kept
+        if choice is None or choice.plan is None or not self.executor.at_rest:
+            return
         if np.abs(self.executor.q - choice.plan.q[0]).max() < NEAR_ENOUGH:
             self._choice, self._foretold = choice, (now - choice.wait, choice.foretold)
             self._follow(choice.plan)
         else:  # it was held on the way and came to rest elsewhere
             self._stand(self.step)
-            self._ask("path", now)
-
-    def _hear(self, asked: Request, answer: Choice | NoPlan, now: float) -> None:
-        """Takes in an answer; one to the step before comes too late."""
-        if isinstance(answer, Choice):
-            if answer.option.step is self.step:
-                self._failures, self._trouble = 0, ""
-                if answer.plan is not None:
-                    self._take_up(answer)
-        elif asked.why == "better":
-            self._asked = now + RETRY
-        elif answer.crashed:
-            self._trouble, self._not_before = f"No path: {answer.reason}.", now + RETRY
-        else:
-            self._no_way(answer.reason, now)
+            self._ask(now)
 
     def _take_up(self, choice: Choice) -> None:
         """Brakes for something else."""
-        option, under_way = choice.option, self._trajectory is not None
+        option = choice.option
         if option.step is Step.REACH and option.target != self.target:
             if self.target is not None or option.target != self.sequence.remaining[0]:
                 self._reaction = Reaction.TAKE_ANOTHER if self.target is None else Reaction.CHANGE_CUBE
-                self.replans += 1
             self.target = option.target
-        elif under_way and self._purpose is self.step and self.step is not Step.REST:
+        elif self._trajectory is not None and self._purpose is self.step and self.step is not Step.REST:
             self._reaction = Reaction.GO_AROUND
-            self.replans += 1
         self._next = choice
 
     def _no_way(self, reason: str, now: float) -> None:
@@ -333,8 +314,7 @@ class Supervisor:
         self._trouble, self._not_before = f"No path: {reason}.", now + RETRY
         if self._failures >= ATTEMPTS and self.step in (Step.REACH, Step.REST):
             if self.step is Step.REACH:
-                while self.sequence.remaining:
-                    self.sequence.give_up(self.sequence.remaining[0])
+                self.sequence.give_up()
                 self.target = None
             self._stand(Step.NONE if self.step is Step.REACH else Step.REST)
 
@@ -342,21 +322,58 @@ class Supervisor:
 
     def _decide(self, now: float) -> Decision:
         """State, speed and reason from all of the above."""
-        has_path, going = self._trajectory is not None, self._going
-        searching = has_path and self._next is not None
-        going.update(self._limit, self._limit.speed if has_path and not searching else 0.0, now)
-        finished = not self.sequence.remaining and self.step is Step.REST and not has_path
-        state = state_of(self.step, finished, has_path, searching, going)
-        reaction, self._reaction = self._reaction, None
+        free = self._trajectory is not None and self._next is None
+        self._going.update(self._limit, self._limit.speed if free else 0.0, now)
+        state, reaction = self._state(), self._reaction
+        self._reaction = None
         return Decision(
             stamp=now,
             state=state,
-            reason=reason_of(state, self.step, self.target, reaction, going.reason, self.sequence, self._trouble),
+            reason=self._reason(state, reaction),
             target=self.target,
             reaction=reaction,
-            speed=going.speed,
+            speed=self._going.speed,
             distance=self._limit.separation.distance,
             separation=self._limit.separation.required,
             taken=dict(self.sequence.probabilities),
             basis=self.people.newest,
         )
+
+    def _state(self) -> RobotState:
+        has_path, going = self._trajectory is not None, self._going
+        held = has_path and going.level == HELD
+        if going.reason in BLIND or (held and going.reason is LimitReason.SEPARATION):
+            return RobotState.STOPPED
+        if not self.sequence.remaining and self.step is Step.REST and not has_path:
+            return RobotState.DONE
+        if has_path and self._next is not None:
+            return RobotState.REPLANNING
+        if self.step in (*GRASPING, *PLACING) and not held:
+            return RobotState.GRASPING if self.step in GRASPING else RobotState.PLACING
+        if held or not has_path:
+            return RobotState.WAITING
+        return RobotState.SLOWED if going.level == SLOW else RobotState.MOVING
+
+    def _reason(self, state: RobotState, reaction: Reaction | None) -> str:
+        """Why, in a sentence."""
+        sequence, cause = self.sequence, self._going.reason
+        errand = f"{self.step.value} ({self.target})" if self.target else self.step.value
+        if reaction is Reaction.GO_AROUND:
+            return f"The way {errand} was about to be blocked: another way around."
+        if reaction is not None:
+            taken = " and ".join(filter(sequence.is_taken, sequence.remaining)) or "the cube"
+            return f"The person reaches for {taken}: {f'{self.target} first' if self.target else 'back up'}."
+        if state is RobotState.STOPPED:
+            return cause.value
+        if state is RobotState.DONE:
+            missing = f", without {' and '.join(sequence.given_up)}: no way there" if sequence.given_up else ""
+            return f"Every cube is in its place{missing}."
+        if self._trouble:
+            return self._trouble
+        if state is RobotState.WAITING:
+            return f"A path is sought {errand}."
+        if state is RobotState.REPLANNING:
+            return f"Another path is sought {errand}; meanwhile it slows down."
+        if state is RobotState.SLOWED:
+            return f"On the way {errand}, slowly: {cause.value if cause is LimitReason.DOUBT else 'a person is near'}."
+        return f"{errand[0].upper()}{errand[1:]}."

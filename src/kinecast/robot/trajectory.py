@@ -10,10 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline, make_interp_spline
 
-from kinecast.errors import OptionError
-
-__all__ = ["Trajectory", "minimum_jerk", "rest_to_rest"]
-
 
 def minimum_jerk(count: int) -> Float[np.ndarray, " count"]:
     """(count,) shares 10 s³ − 15 s⁴ + 6 s⁵ of the way from rest to rest of least jerk, evenly spaced in time.
@@ -33,24 +29,10 @@ def rest_to_rest(times: Float[np.ndarray, " W"], values: Float[np.ndarray, "W D"
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Waypoints joined by a quintic spline from rest to rest: angle, speed and acceleration are continuous.
+    """Waypoints joined by a quintic spline from rest to rest: angle, speed and acceleration are continuous."""
 
-    Attributes:
-        times: (W,) increasing, W of 2 or more [s], on the clock of the frames' stamps.
-        q: (W, 6) [rad].
-
-    Raises:
-        OptionError: fewer than two waypoints, times that do not increase, or anything not finite.
-    """
-
-    times: Float[np.ndarray, " W"]
-    q: Float[np.ndarray, "W 6"]
-
-    def __post_init__(self) -> None:
-        if len(self.times) < 2 or len(self.q) != len(self.times):
-            raise OptionError(f"{len(self.q)} waypoints for {len(self.times)} times: at least two, one for each")
-        if not (np.all(np.diff(self.times) > 0) and np.isfinite(self.q).all()):
-            raise OptionError(f"a trajectory must be finite, and its times must increase: {self.times.tolist()} s")
+    times: Float[np.ndarray, " W"]  # increasing, W of 2 or more [s], on the clock of the frames' stamps
+    q: Float[np.ndarray, "W 6"]  # [rad]
 
     @property
     def duration(self) -> float:
@@ -63,25 +45,21 @@ class Trajectory:
         spline = rest_to_rest(self.times - self.times[0], self.q)
         return (spline, *(spline.derivative(order) for order in (1, 2, 3)))
 
-    def at(self, t: float | Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "*N 6"], Float[np.ndarray, "*N 6"]]:
-        """Angles [rad] and speeds [rad/s] at time t [s]; at rest before its start and after its end."""
-        q, qd = self.derivatives(t, 1)
-        return q, qd
-
-    def derivatives(self, t: float | Float[np.ndarray, " N"], order: int = 3) -> list[Float[np.ndarray, "*N 6"]]:
-        """Angles (…, 6) at t [s], then speeds, accelerations and jerks up to an order; at rest before and after."""
+    def at(self, t: float | Float[np.ndarray, " N"], order: int = 0) -> Float[np.ndarray, "*N 6"]:
+        """Angles (…, 6) at time t [s] [rad], or their derivative of an order up to 3; at rest before and after."""
         since = np.asarray(t, dtype=np.float64) - self.times[0]
         within = np.clip(since, 0.0, self.duration)
-        moving = (since == within)[..., None]
-        q, *rates = (spline(within) for spline in self._splines[: order + 1])
-        return [q, *(np.where(moving, rate, 0.0) for rate in rates)]
+        values: Float[np.ndarray, "*N 6"] = self._splines[order](within)
+        return values if order == 0 else np.where((since == within)[..., None], values, 0.0)
 
-    def stretched(self, factor: float) -> Trajectory:
-        """The same path in `factor` times the time, from the same start time."""
-        return Trajectory(self.times[0] + factor * (self.times - self.times[0]), self.q)
+    def within(self, limits: Float[np.ndarray, "3 *D"], tolerance: float = 1.0) -> Trajectory:
+        """The same path from the same start time, slowed down to limits of speed, acceleration and jerk.
 
-    def excess(self, limits: Float[np.ndarray, "3 *D"], count: int = 200) -> float:
-        """How many times as long it would take just within limits of speed, acceleration and jerk; below 1 within."""
-        rates = np.abs(self.derivatives(np.linspace(self.times[0], self.times[-1], count))[1:])
+        If it needs no more than `tolerance` times its time it stays as it is; others are slowed to as much less.
+        """
+        rates = np.abs([self.at(np.linspace(self.times[0], self.times[-1], 200), order) for order in (1, 2, 3)])
         used = (rates.max(axis=1) / np.reshape(limits, (3, -1))).max(axis=1)
-        return float((used ** (1.0 / np.array([1, 2, 3]))).max())
+        excess = float((used ** (1.0 / np.array([1, 2, 3]))).max())
+        if excess <= tolerance:
+            return self
+        return Trajectory(self.times[0] + tolerance * excess * (self.times - self.times[0]), self.q)

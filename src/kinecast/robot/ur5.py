@@ -16,15 +16,12 @@ from jaxtyping import Float, Int
 
 from kinecast.errors import MissingExtraError
 from kinecast.geometry.transforms import inverse
-from kinecast.robot.capsules import Capsules
 
 try:
     import coal
     import pinocchio as pin
 except ImportError as error:  # pragma: no cover - the tests install it
     raise MissingExtraError("the robot", "robot") from error
-
-__all__ = ["LINKS", "UR5", "fixed_places"]
 
 LINKS = (
     "shoulder", "upper_arm", "elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "palm", "left_finger", "right_finger",
@@ -41,10 +38,8 @@ rad/s to rest in 0.244 s on average, fully stretched and loaded (base; UR5/CB3 u
 
 D1, A2, A3, D4, D5, D6 = 0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823
 """Denavit-Hartenberg lengths [m], as in data/ur5.urdf (a test compares them)."""
-STRAIGHT = 1e-7
-"""|sin q5| under which the wrist counts as straight and q6 as free."""
-ROUND_OFF = 1e-9
-"""How far a cosine may exceed 1: the arm stretched to its end, but for round-off."""
+STRAIGHT = 1e-7  # |sin q5| under which the wrist counts as straight and q6 as free
+ROUND_OFF = 1e-9  # how far a cosine may exceed 1: the arm stretched to its end, but for round-off
 SHOULDER, WRIST, ELBOW = np.array(list(product((1.0, -1.0), repeat=3))).T
 """Signs of q1's offset, q5 and q3 in the eight branches."""
 
@@ -58,10 +53,8 @@ class UR5:
         max_speed: (6,) [rad/s]; max_acceleration: (6,) [rad/s^2]; max_jerk: (6,) [rad/s^3].
         stop_jerk: (6,) that it may brake with [rad/s^3].
         joint_origins: (6, 4, 4) each joint's frame in its parent's; it turns about its own z axis.
-        capsule_sites: (2 L, 3) ends of the capsules in their joints' frames [m], all starts first.
-        capsule_joint: (L,) joint that moves each capsule.
-        capsule_radius: (L,) [m].
-        pedestal: start (3,), end (3,) [m] and radius of the base's capsule, which does not move.
+        links: (L, 7) capsules of the `LINKS`, each in its joint's frame; link_joint: (L,) the joint that moves it.
+        pedestal: (7,) the base's capsule, which does not move.
     """
 
     def __init__(self) -> None:
@@ -78,12 +71,11 @@ class UR5:
         self.joint_origins = np.stack([placement.homogeneous for placement in self.model.jointPlacements[1:]])
 
         self.geometry = pin.buildGeomFromUrdf(self.model, path, pin.GeometryType.COLLISION)
-        fixed, *moving = self.geometry.geometryObjects
-        self.pedestal = (*_axis(fixed), float(fixed.geometry.radius))
-        self.capsule_sites = np.ascontiguousarray(np.stack([_axis(each) for each in moving], axis=1).reshape(-1, 3))
-        self.capsule_joint = np.array([each.parentJoint - 1 for each in moving])
-        self.capsule_radius = np.array([each.geometry.radius for each in moving])
-        for each in self.geometry.geometryObjects:
+        capsules = self.geometry.geometryObjects
+        rows = np.array([_capsule(each) for each in capsules])
+        self.pedestal, self.links = rows[0], rows[1:]
+        self.link_joint = np.array([each.parentJoint - 1 for each in capsules[1:]])
+        for each in capsules:
             each.geometry = coal.Capsule(each.geometry.radius, 2.0 * each.geometry.halfLength)
 
     def forward_kinematics(self, q: Float[np.ndarray, "*N 6"]) -> Float[np.ndarray, "*N 4 4"]:
@@ -107,11 +99,11 @@ class UR5:
             frames[..., j, :, :] = frames[..., j - 1, :, :] @ frames[..., j, :, :]
         return frames
 
-    def capsules(self, q: Float[np.ndarray, "*N 6"]) -> Capsules:
-        """The moving links (`LINKS`) at configurations: (…, 6) [rad] to ends (…, L, 3)."""
-        ends = fixed_places(self.frames(q), np.tile(self.capsule_joint, 2), self.capsule_sites)
-        start, end = np.split(ends, 2, axis=-2)
-        return Capsules(start, end, self.capsule_radius)
+    def capsules(self, q: Float[np.ndarray, "*N 6"]) -> Float[np.ndarray, "*N L 7"]:
+        """(…, L, 7) start, end and radius [m] of the moving links (`LINKS`) at configurations (…, 6) [rad]."""
+        ends = fixed_places(self.frames(q), np.repeat(self.link_joint, 2), self.links[:, :6].reshape(-1, 3))
+        radius = np.broadcast_to(self.links[:, 6:], (*q.shape[:-1], len(LINKS), 1))
+        return np.concatenate([ends.reshape(*q.shape[:-1], len(LINKS), 6), radius], axis=-1)
 
     def inverse_kinematics(self, T_base_tool: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "B 6"]:
         """Every configuration with angles in [−π, π) that puts the tool there: up to eight branches.
@@ -156,7 +148,7 @@ def fixed_places(
     return places
 
 
-def _axis(capsule: pin.GeometryObject) -> Float[np.ndarray, "2 3"]:
-    """Both ends of a cylinder's axis in its joint's frame."""
-    half = capsule.placement.rotation[:, 2] * capsule.geometry.halfLength
-    return np.stack([capsule.placement.translation - half, capsule.placement.translation + half])
+def _capsule(cylinder: pin.GeometryObject) -> Float[np.ndarray, "7"]:
+    """Start, end and radius in its joint's frame."""
+    middle, half = cylinder.placement.translation, cylinder.placement.rotation[:, 2] * cylinder.geometry.halfLength
+    return np.array([*(middle - half), *(middle + half), cylinder.geometry.radius])

@@ -17,22 +17,15 @@ from kinecast.errors import ArmError, OptionError
 from kinecast.robot.rtde import PORT, Reading, Rtde
 from kinecast.robot.ur5 import UR5
 
-__all__ = ["ArmStatus", "CycleCounters", "UrDriver", "trouble"]
-
 PATIENCE = 0.1
 """After so long without the other side [s] an arm that has to be told again stands; so does the program's own."""
 LEAD = 0.4
 """Farthest a target may be ahead of the arm in any joint [rad]; at pi rad/s servoj is about 0.3 behind."""
-FIRST = 1.0
-"""Longest wait for the first state, and for an arm to come to rest [s]."""
-LATE = 2.0
-"""Cycles after which a state is too old for another target."""
-DRIFT = 1e-3
-"""Seconds a second by which the controller's clock may run apart from this computer's."""
-STANDS, FOLLOWS = 2701, 2702
-"""What `kinecast_ur.script` writes into output_int_register_24."""
-PLAYING, RUNNING = 2, 7
-"""Values of runtime_state and robot_mode (RTDE Guide)."""
+FIRST = 1.0  # longest wait for the first state, and for an arm to come to rest [s]
+LATE = 2.0  # cycles after which a state is too old for another target
+DRIFT = 1e-3  # seconds a second by which the controller's clock may run apart from this computer's
+STANDS, FOLLOWS = 2701, 2702  # what `kinecast_ur.script` writes into output_int_register_24
+PLAYING, RUNNING = 2, 7  # values of runtime_state and robot_mode (RTDE Guide)
 
 
 class ArmStatus(Enum):

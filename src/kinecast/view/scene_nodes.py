@@ -90,8 +90,7 @@ class People:
 
     def show(self, people: Sequence[tuple[tuple[str, ...], Float[np.ndarray, "J 3"]]]) -> None:
         """Everybody who is there: canonical names and positions (J, 3) of their joints [m], NaN where not known."""
-        bodies = [body_capsules(*person, TRUE_BODY) for person in people]
-        rows = np.array([np.column_stack([each.start, each.end, each.radius]) for each in bodies]).reshape(-1, 9, 7)
+        rows = np.array([body_capsules(*person, TRUE_BODY) for person in people]).reshape(-1, 9, 7)
         self.skin.show(rows[:, SKIN_ROWS].reshape(-1, 7))
         self.shirts.show(rows[:, SHIRT_ROWS].reshape(-1, 7))
 

@@ -40,8 +40,7 @@ class Stage:
         self.arm = UR5()
         self.layers = {"samples": True, "region": True, "path": True}
         _draw_furniture(scene, cell)
-        start, end, radius = self.arm.pedestal
-        CapsulesNode(scene, "/robot/base", PARTS["gripper"][0]).show(np.array([[*start, *end, radius]]))
+        CapsulesNode(scene, "/robot/base", PARTS["gripper"][0]).show(self.arm.pedestal[None])
         self.links = {name: CapsulesNode(scene, f"/robot/{name}", colour) for name, (colour, _) in PARTS.items()}
         self.cubes = {
             cube.name: scene.add_box(f"/cubes/{cube.name}", cube_colour(cube.name), (cube.size,) * 3)
@@ -60,8 +59,7 @@ class Stage:
 
     def show(self, moment: SceneSnapshot) -> None:
         """Puts everything where it is at a moment."""
-        capsules = self.arm.capsules(moment.q[None])
-        rows = np.column_stack([capsules.start[0], capsules.end[0], capsules.radius])
+        rows = self.arm.capsules(moment.q)
         for name, (_, links) in PARTS.items():
             self.links[name].show(rows[[LINKS.index(link) for link in links]])
         for name, cube in self.cubes.items():

@@ -12,10 +12,10 @@ import pytest
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.scene import Scene
 from kinecast.geometry.shapes import Box, Capsule
-from kinecast.robot.camera import Camera, CameraFrame
 from kinecast.robot.collision import CollisionChecker
+from kinecast.robot.people import CameraFrame
 from kinecast.robot.planner import Planner
-from kinecast.robot.simulated_person import Person, PlayedPerson
+from kinecast.robot.simulated_person import Camera, Person, PlayedPerson
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, Status
 

@@ -27,7 +27,7 @@ def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest
     """∇U of the inner waypoints by finite differences of ∫ c |x'| dt, summed over body points."""
     monkeypatch.setattr("kinecast.robot.chomp.SLOWEST", 1e-9)
     chomp = among(arm, POST)
-    shapes = [*posts(POST).obstacles, Capsule(*arm.pedestal)]
+    shapes = [*posts(POST).obstacles, Capsule(arm.pedestal[:3], arm.pedestal[3:6], arm.pedestal[6])]
 
     def cost(q: np.ndarray) -> float:
         places = apply(arm.frames(q)[:, chomp._joint], chomp._sites)
@@ -47,7 +47,7 @@ def test_what_pushes_is_the_derivative_of_the_cost(arm: UR5, monkeypatch: pytest
 
 
 def test_without_obstacles_nothing_moves(arm: UR5) -> None:
-    path, excess = Chomp(arm, np.empty((0, 17))).optimise(STRAIGHT, TIMES, 0.005)
+    path, excess = Chomp(arm, np.empty((0, 17))).optimise(STRAIGHT, 0.005)
     np.testing.assert_allclose(path, STRAIGHT, atol=1e-12)
     assert excess > 0
 
@@ -55,11 +55,11 @@ def test_without_obstacles_nothing_moves(arm: UR5) -> None:
 def test_it_goes_around_keeps_its_ends_and_answers_the_same_again(arm: UR5) -> None:
     checker = CollisionChecker(arm, posts(POST))
     assert checker.check(Trajectory(TIMES, STRAIGHT))
-    path, excess = among(arm, POST).optimise(STRAIGHT, TIMES, 0.02)
+    path, excess = among(arm, POST).optimise(STRAIGHT, 0.02)
     assert excess > 0
     np.testing.assert_array_equal(path[[0, -1]], STRAIGHT[[0, -1]])
     assert not checker.check(Trajectory(TIMES, path))
-    np.testing.assert_array_equal(path, among(arm, POST).optimise(STRAIGHT, TIMES, 0.02)[0])
+    np.testing.assert_array_equal(path, among(arm, POST).optimise(STRAIGHT, 0.02)[0])
 
 
 def test_it_knows_when_people_are_beside_it(arm: UR5) -> None:
@@ -69,12 +69,12 @@ def test_it_knows_when_people_are_beside_it(arm: UR5) -> None:
     for here, moves in ((slice(0, 4), False), (slice(36, 40), False), (slice(0, 40), True)):
         capsules = rows.copy()
         capsules[here] = POST
-        path, _ = among(arm).optimise(STRAIGHT, TIMES, 0.005, People(TIMES, capsules, CAMERA))
+        path, _ = among(arm).optimise(STRAIGHT, 0.005, People(capsules, CAMERA))
         assert (np.abs(path - STRAIGHT).max() > 0.05) == moves
 
 
 def test_the_price_of_people_is_the_time_lost_and_its_slope_the_derivative() -> None:
-    people = People(TIMES, np.empty((40, 1, 7)), CAMERA)
+    people = People(np.empty((40, 1, 7)), CAMERA)
     distance = np.linspace(-0.2, 1.5, 200)
     price, slope = people.price(distance)
     numeric = (people.price(distance + 1e-6)[0] - people.price(distance - 1e-6)[0]) / 2e-6
@@ -87,11 +87,11 @@ def test_the_price_of_people_is_the_time_lost_and_its_slope_the_derivative() -> 
 def test_angles_stay_within_their_range() -> None:
     tight = UR5()
     tight.q_range = np.stack([STRAIGHT.min(axis=0) - 0.02, STRAIGHT.max(axis=0) + 0.02], axis=1)
-    path, _ = among(tight, POST).optimise(STRAIGHT, TIMES, 0.02)
+    path, _ = among(tight, POST).optimise(STRAIGHT, 0.02)
     assert (path >= tight.q_range[:, 0] - 1e-12).all()
     assert (path <= tight.q_range[:, 1] + 1e-12).all()
 
 
 def test_where_there_is_no_way_it_says_so(arm: UR5) -> None:
-    _, excess = among(arm, *SEALED).optimise(STRAIGHT, TIMES, 0.005)
+    _, excess = among(arm, *SEALED).optimise(STRAIGHT, 0.005)
     assert excess < 0

@@ -45,8 +45,8 @@ def test_every_shape_can_be_an_obstacle_and_is_where_it_is_said_to_be(arm: UR5, 
     checker = CollisionChecker(arm, Scene((shape,)))
     rng, touched = np.random.default_rng(3), 0
     for q in rng.uniform(-3, 3, (100, 6)):
-        capsules = arm.capsules(q[None])
-        apart = shape.segment_distance(capsules.start[0], capsules.end[0]) - capsules.radius
+        links = arm.capsules(q)
+        apart = shape.segment_distance(links[:, :3], links[:, 3:6]) - links[:, 6]
         expected = float(apart[FIRST_LINK:].min())
         found, own = checker.clearance(q)
         assert found == pytest.approx(expected, abs=1e-5) or (found < 0 and expected < 0)
@@ -62,15 +62,13 @@ def test_every_shape_can_be_an_obstacle_and_is_where_it_is_said_to_be(arm: UR5, 
 def test_the_arm_meets_itself_where_its_capsules_do(arm: UR5) -> None:
     checker, pairs = CollisionChecker(arm), 0
     for q in np.random.default_rng(4).uniform(-3, 3, (30, 6)):
-        capsules, least = arm.capsules(q[None]), np.inf
+        links, least = arm.capsules(q), np.inf
         for k in range(len(LINKS)):
-            link = capsules.start[0, k], capsules.end[0, k]
-            others = [(*arm.pedestal, k > 1)]
-            others += [(capsules.start[0, j], capsules.end[0, j], capsules.radius[j], k > j + 2) for j in range(4)]
-            for start, end, radius, meets in others:
+            others = [(arm.pedestal, k > 1), *((links[j], k > j + 2) for j in range(4))]
+            for row, meets in others:
                 if meets:
-                    apart = Capsule(start, end, float(radius)).segment_distance(*link)
-                    least, pairs = min(least, float(apart - capsules.radius[k])), pairs + 1
+                    apart = Capsule(row[:3], row[3:6], row[6]).segment_distance(links[k, :3], links[k, 3:6])
+                    least, pairs = min(least, float(apart - links[k, 6])), pairs + 1
         _, own = checker.clearance(q)
         assert own == pytest.approx(least, abs=1e-5) or (own < 0 and least < 0)
     assert pairs > 0
@@ -96,8 +94,8 @@ def test_a_thin_thing_between_two_waypoints_is_found(arm: UR5) -> None:
 
 
 def test_looks_leave_no_gap_wider_than_the_step(checker: CollisionChecker, arm: UR5) -> None:
-    q, _ = sweep().at(checker.looks(sweep(), 0.01))
-    way = np.linalg.norm(np.diff(arm.capsules(q).end, axis=0), axis=-1)
+    q = sweep().at(checker.looks(sweep(), 0.01))
+    way = np.linalg.norm(np.diff(arm.capsules(q)[..., 3:6], axis=0), axis=-1)
     assert way.max() < 0.0125
 
 

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from kinecast.errors import OptionError
-from kinecast.robot.capsules import Capsules
 from kinecast.robot.cell import CELLS, Cell, cell_named
 from kinecast.robot.choice import Chooser, Option, Request
 from kinecast.robot.execution import Executor
 from kinecast.robot.expected_time import TravelTime, travel_time
-from kinecast.robot.motions import AHEAD, STEP, PoseHistory, motions_of
+from kinecast.robot.motions import AHEAD, STEP, PoseHistory
 from kinecast.robot.pick_place import GraspConfigurations, Step
-from kinecast.robot.planner import NoPlan, Planner
+from kinecast.robot.planner import NoPlan
 from kinecast.robot.ur5 import UR5
 from kinecast.types import Prediction, Status
 
@@ -30,8 +29,8 @@ def people(x: float, y: float = 0.0, samples: int = 5) -> Prediction:
     return Prediction(0.0, times, drawn, drawn.mean(axis=0), np.zeros((15, 6, 3, 3)), ("",) * 6, "a", Status.OK)
 
 
-def motions(x: float, y: float = 0.0) -> Capsules:
-    return motions_of([people(x, y)], [PoseHistory()], 0.0)
+def motions(x: float, y: float = 0.0) -> np.ndarray:
+    return PoseHistory().ahead(people(x, y), 0.0, np.random.default_rng(0))
 
 
 def way(arm: UR5) -> np.ndarray:
@@ -67,7 +66,7 @@ def test_errors_are_shares_of_the_time_with_nobody_there() -> None:
 
 def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     """Against the executor, slowed by the same monitoring at every control step."""
-    from kinecast.robot.separation import moving, separation
+    from kinecast.robot.separation import Moving, moving, separation
     from kinecast.robot.trajectory import Trajectory
 
     rows, body = way(arm), motions(1.17)
@@ -75,14 +74,13 @@ def test_it_foretells_what_the_arm_then_needs(arm: UR5) -> None:
     executor, dt, steps = Executor(arm, 0.008, rows[0]), 0.008, 0
     trajectory = Trajectory(STEP * np.arange(len(rows)), rows)
     executor.follow(trajectory)
-    still = np.zeros_like(body.start[0, 0])
-    person = body.start[0, 0], body.end[0, 0], body.radius, still, still
+    person = Moving(body[0, 0], np.zeros((9, 6)), np.full(9, 0.1))
     rate = 1.0
     while not executor.done and steps < 2000:
         before = trajectory.duration - executor.remaining
-        ahead = trajectory.at(before + np.array([0.0, 1e-3]))[0]
+        ahead = trajectory.at(before + np.array([0.0, 1e-3]))
         links = moving(arm.capsules(ahead), 1e-3)
-        found = separation(links, person, CELL.separation, np.full(len(still), 0.1))
+        found = separation(links, person, CELL.separation)
         rate = min(found.scale, rate + 3.0 * dt)
         executor.step(rate)
         steps += 1
@@ -96,11 +94,11 @@ def test_a_person_goes_on_as_they_did_before() -> None:
         out = max(np.sin(np.pi * ((k * STEP) % 3.0 - 2.0)), 0.0) if (k * STEP) % 3.0 > 2.0 else 0.0
         history.add(k * STEP, ARMS + out * reach)
     out = ARMS + reach
-    carried = history.carry_on(out[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 30, np.random.default_rng(0))
+    carried = history._carry_on(out[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 30, np.random.default_rng(0))
     away = np.linalg.norm(carried[:, :, 2] - ARMS[2], axis=-1)
     assert away[:, 10].mean() < 0.05, "drawn back after a second, as ever"
     assert away[:, 11:].max() > 0.25, "and out again"
-    rested = history.carry_on(ARMS[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 10, np.random.default_rng(0))
+    rested = history._carry_on(ARMS[None].repeat(40, axis=0), np.zeros((40, 6, 3)), 10, np.random.default_rng(0))
     begun = np.linalg.norm(rested[:, :, 2] - ARMS[2], axis=-1).max(axis=1) > 0.1
     assert 0.2 < begun.mean() < 0.8, "who rests begins within a second about as often as before"
 
@@ -108,11 +106,11 @@ def test_a_person_goes_on_as_they_did_before() -> None:
 def test_without_a_past_they_stand_and_what_is_new_returns() -> None:
     history, now = PoseHistory(), ARMS[None] - np.array([0.5, 0.0, 0.0])
     still = np.zeros((1, 6, 3))
-    np.testing.assert_array_equal(history.carry_on(now, still, 5, np.random.default_rng(0)), now[:, None].repeat(5, 1))
+    np.testing.assert_array_equal(history._carry_on(now, still, 5, np.random.default_rng(0)), now[:, None].repeat(5, 1))
     history.add(0.0, np.full((6, 3), np.nan))
     for k in range(10):
         history.add(k * STEP, ARMS)
-    later = history.carry_on(now, still, 40, np.random.default_rng(0))[0, -1]
+    later = history._carry_on(now, still, 40, np.random.default_rng(0))[0, -1]
     assert np.abs(later - ARMS).max() < 0.02
 
 
@@ -126,7 +124,7 @@ def options(arm: UR5, q: np.ndarray) -> tuple[Option, ...]:
 
 @pytest.fixture(scope="module")
 def chooser() -> Chooser:
-    return Chooser(Planner(UR5(), CELL.scene), CELL)
+    return Chooser(UR5(), CELL)
 
 
 def test_the_cube_that_nobody_is_at_comes_first(arm: UR5, chooser: Chooser) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kinecast.robot.cell import Cell
-from kinecast.robot.episode import Episode, Tick
-from kinecast.robot.outcome import outcome_of
+from kinecast.robot.episode import Episode, Tick, outcome_of
 from kinecast.robot.simulated_person import PlayedPerson
 from kinecast.types import Decision, Reaction, RobotState
 

@@ -9,18 +9,16 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.geometry.shapes import Capsule
-from kinecast.robot.body import MEASURED_BODY, PARTS, TRUE_BODY, body_capsules
-from kinecast.robot.camera import CameraFrame
-from kinecast.robot.capsules import interpolated
+from kinecast.robot.body import HAND_LENGTH, MEASURED_BODY, PARTS, TRUE_BODY, body_capsules, interpolated
 from kinecast.robot.motions import is_trusted
-from kinecast.robot.people import FASTEST, HARDEST, TOUCH, PeopleModel, Seen, occupied, reach_probabilities
+from kinecast.robot.people import FASTEST, HARDEST, TOUCH, CameraFrame, PeopleModel, occupied, reach_probabilities
+from kinecast.robot.separation import Moving
 from kinecast.types import Prediction, SkeletonFrame, Status
 
 from .conftest import prediction
 
 REST = np.array([[0, 0.2, 1.4], [0, 0.25, 1.1], [0.2, 0.2, 1.0], [0, -0.2, 1.4], [0, -0.25, 1.1], [0.2, -0.2, 1.0]])
-FOREARM, HEAD = PARTS.index("left_forearm"), PARTS.index("head")
-RADII = MEASURED_BODY.radii
+FOREARM, HAND, HEAD = (PARTS.index(part) for part in ("left_forearm", "left_hand", "head"))
 JOINTS = (*ARM_JOINTS, "head", "pelvis")
 POSE = np.concatenate([REST, [[0.05, 0.0, 1.65], [0.0, 0.0, 0.9]]])
 
@@ -35,8 +33,9 @@ def shown(acceleration: float, shots: int = 6, speed: float = 0.3) -> PeopleMode
     return people
 
 
-def velocities(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
-    return seen.end_velocity[FOREARM], seen.end_velocity_now[FOREARM]
+def velocities(seen: Moving) -> np.ndarray:
+    """(2, 3) or, where only that of the middle is known, (1, 3) of the wrist."""
+    return seen.velocity[FOREARM :: len(PARTS), 3:]
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 3.0, -3.0])
@@ -53,9 +52,8 @@ def test_a_hand_that_gains_speed_as_no_hand_can_is_taken_for_one_that_can() -> N
 
 
 def test_with_few_measurements_nothing_is_known_of_velocity() -> None:
-    middle, now = velocities(shown(3.0, shots=3).seen(1.0))
+    [middle] = velocities(shown(3.0, shots=3).seen(1.0))
     assert np.isfinite(middle).all()
-    assert np.isnan(now).all()
     assert np.isnan(velocities(shown(3.0, shots=2).seen(1.0))).all()
 
 
@@ -66,8 +64,8 @@ def test_the_model_knows_place_speed_and_age() -> None:
         people.see(CameraFrame(stamp, (SkeletonFrame(float(stamp), JOINTS, positions, "a"),)))
     seen = people.seen(0.7)
     truth = body_capsules(JOINTS, positions)
-    np.testing.assert_allclose(seen.start, truth.start, atol=1e-12)
-    np.testing.assert_allclose(seen.start_velocity, np.tile([0.5, 0, 0], (9, 1)), atol=1e-6)
+    np.testing.assert_allclose(seen.capsules, np.tile(truth, (2, 1)), atol=1e-12)
+    np.testing.assert_allclose(seen.velocity, np.tile([0.5, 0, 0], (18, 2)), atol=1e-6)
     np.testing.assert_allclose(seen.age, 0.7 - people.newest)
 
 
@@ -80,11 +78,11 @@ def test_a_lost_wrist_stays_where_it_was_grows_old_and_has_no_speed() -> None:
         people.see(CameraFrame(k / 30, (SkeletonFrame(k / 30, JOINTS, positions, "a"),)))
     seen = people.seen(9 / 30)
     forearm, hand, trunk = 1, 2, 7
-    np.testing.assert_allclose(seen.end[forearm], POSE[2])
+    np.testing.assert_allclose(seen.capsules[forearm, 3:6], POSE[2])
     assert seen.age[forearm] == seen.age[hand] == pytest.approx(5 / 30)
     assert seen.age[trunk] == pytest.approx(0.0)
-    assert np.isnan(seen.start_velocity[hand]).all()
-    assert np.isfinite(seen.start_velocity[trunk]).all()
+    assert np.isnan(seen.velocity[hand]).all()
+    assert np.isfinite(seen.velocity[trunk]).all()
 
 
 def test_who_is_on_no_shot_for_a_while_has_left_but_a_silent_camera_says_nothing() -> None:
@@ -113,14 +111,14 @@ def test_each_capsule_holds_its_limb_with_the_stated_probability(level: float) -
         capsule = Capsule(row[:3], row[3:6], float(row[6]))
         # The limb is a capsule of its own radius: its axis must lie that far inside.
         elbow, wrist = (capsule.signed_distance(ahead.samples[:, t, joint]) for joint in (1, 2))
-        inside = np.maximum(elbow, wrist) <= 1e-9 - MEASURED_BODY.forearm
+        inside = np.maximum(elbow, wrist) <= 1e-9 - MEASURED_BODY[FOREARM]
         assert level <= inside.mean() <= min(level + 0.1, 1.0)
 
 
 def test_the_region_is_never_larger_than_what_can_be_reached_and_the_whole_body_counts() -> None:
     at = 0.25
     wild, usual = (occupied([prediction(spread=spread)], 0.0, at) for spread in (3.0, 0.02))
-    np.testing.assert_allclose(wild[:, 6], RADII + at * FASTEST)
+    np.testing.assert_allclose(wild[:, 6], MEASURED_BODY + at * FASTEST)
     assert usual.shape == (len(PARTS), 7)
     assert (usual[:, 6] < wild[:, 6]).all()
     np.testing.assert_allclose(usual[HEAD, :3], [-1.2, 0.0, 0.75], atol=2e-2)
@@ -133,7 +131,7 @@ def test_what_cannot_be_trusted_counts_as_the_reachable_set(change: dict[str, ob
     doubtful = prediction(spread=0.01, **change)  # type: ignore[arg-type]
     assert not is_trusted(doubtful, 0.0)
     rows = occupied([doubtful], 0.0, 0.25)
-    np.testing.assert_allclose(rows[:, 6], RADII + (0.25 - doubtful.stamp) * FASTEST)
+    np.testing.assert_allclose(rows[:, 6], MEASURED_BODY + (0.25 - doubtful.stamp) * FASTEST)
     np.testing.assert_allclose(rows[FOREARM, :3], doubtful.mean[0, 1])
 
 
@@ -142,7 +140,7 @@ def test_what_is_not_finite_is_not_trusted_and_what_is_not_known_left_out() -> N
     samples, mean = bad.samples.copy(), bad.mean.copy()
     samples[0, 0, 2], mean[:, 2] = np.nan, np.nan
     whole = occupied([replace(bad, samples=samples)], 0.0, 0.25)
-    np.testing.assert_allclose(whole[:, 6], RADII + 0.25 * FASTEST)
+    np.testing.assert_allclose(whole[:, 6], MEASURED_BODY + 0.25 * FASTEST)
     assert occupied([replace(bad, samples=samples, mean=mean)], 0.0, 0.25).shape == (len(PARTS) - 2, 7)
     assert occupied([], 0.0, 0.25).shape == (0, 7)
     assert occupied([bad, bad], 0.0, 0.25).shape == (2 * len(PARTS), 7)
@@ -158,9 +156,7 @@ def test_bodies_are_the_same_one_by_one_and_all_at_once() -> None:
     samples = prediction().samples[:3]
     many = body_capsules(ARM_JOINTS, samples)
     for s, t in ((0, 0), (2, 14)):
-        one = body_capsules(ARM_JOINTS, samples[s, t])
-        np.testing.assert_array_equal(many.start[s, t], one.start)
-        np.testing.assert_array_equal(many.end[s, t], one.end)
+        np.testing.assert_array_equal(many[s, t], body_capsules(ARM_JOINTS, samples[s, t]))
 
 
 def two_ways(share: float, samples: int = 100) -> Prediction:
@@ -187,8 +183,8 @@ def test_a_limb_that_is_not_known_may_be_anywhere() -> None:
 
 def test_a_hand_reaches_as_far_as_it_is_long_and_thick() -> None:
     sure = two_ways(1.0)
-    hands = body_capsules(ARM_JOINTS, sure.samples[0, -1])
-    finger = hands.end[2] + (MEASURED_BODY.hand + TOUCH) * (hands.end[2] - hands.start[2]) / MEASURED_BODY.hand_length
+    hand = body_capsules(ARM_JOINTS, sure.samples[0, -1])[HAND]
+    finger = hand[3:6] + (MEASURED_BODY[HAND] + TOUCH) * (hand[3:6] - hand[:3]) / HAND_LENGTH
     for beyond, reached in ((-0.01, 1.0), (0.01, 0.0)):
         assert reach_probabilities(sure, finger[None] - [[beyond, 0.0, 0.0]])[0] == reached
-    assert TRUE_BODY.hand < MEASURED_BODY.hand
+    assert (TRUE_BODY < MEASURED_BODY).all()

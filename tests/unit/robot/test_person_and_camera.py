@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from kinecast.datasets.recording import Recording
-from kinecast.errors import OptionError
-from kinecast.robot.camera import Camera
 from kinecast.robot.cell import Cell
 from kinecast.robot.collaboration import replayed_person
-from kinecast.robot.simulated_person import PlayedPerson, ReactivePerson
+from kinecast.robot.separation import Moving
+from kinecast.robot.simulated_person import Camera, PlayedPerson, ReactivePerson
 
 from .conftest import FaultyCamera
 
@@ -22,8 +21,7 @@ POSE = np.array([
     [0.0, -0.2, 1.4], [0.1, -0.25, 1.1], [0.35, -0.2, 1.05], [0.05, 0.0, 1.65], [0.0, 0.0, 0.9],
 ])  # fmt: skip
 
-STILL = np.zeros((1, 3))
-THERE = np.array([[1.0, 0.2, 0.9]]), np.array([[1.0, 0.2, 1.3]]), np.array([0.05]), STILL, STILL
+THERE = Moving(np.array([[1.0, 0.2, 0.9, 1.0, 0.2, 1.3, 0.05]]), np.zeros((1, 6)), np.zeros(1))
 """An arm in the way."""
 
 
@@ -49,23 +47,24 @@ def test_gaps_in_a_recording_are_bridged() -> None:
     assert person.at(2.0)[2, 0] == pytest.approx(2.35)
 
 
-def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone() -> None:
-    person = ReactivePerson(mover(), patience=9.0)
-    for k in range(500):
-        person.mind(THERE, 0.008 * k)
+def test_a_mindful_person_stops_short_of_an_arm_and_goes_on_when_it_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kinecast.robot.simulated_person.PATIENCE", 9.0)
+    person = ReactivePerson(mover())
+    for k in range(200):
+        person.mind(THERE, 0.02 * k)
     reached = person.at(4.0)[2, 0]
     assert 0.55 < reached < 0.85
-    for k in range(500, 900):
-        person.mind((THERE[0] + 9.0, THERE[1] + 9.0, *THERE[2:]), 0.008 * k)
+    for k in range(200, 360):
+        person.mind(THERE._replace(capsules=THERE.capsules + 9.0), 0.02 * k)
     assert person.at(7.2)[2, 0] > 1.4
     assert person.at(4.0)[2, 0] == pytest.approx(reached), "what was done stays done"
 
 
 def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again() -> None:
-    person = ReactivePerson(mover(), patience=1.0)
-    for k in range(1000):
-        person.mind(THERE, 0.008 * k)
-    hand = np.array([person.at(0.008 * k)[2, 0] for k in range(1000)])
+    person = ReactivePerson(mover())
+    for k in range(400):
+        person.mind(THERE, 0.02 * k)
+    hand = np.array([person.at(0.02 * k)[2, 0] for k in range(400)])
     assert hand.max() < 0.85
     first = int(np.argmax(hand > 0.6))
     drawn_back = first + int(np.argmin(hand[first:]))
@@ -119,8 +118,3 @@ def test_a_recorded_person_stands_at_the_table_and_moves_as_they_did_without_the
     towards = -(hand - hand.mean(axis=0))[:, 0]  # they look at the arm
     np.testing.assert_allclose(towards, way - way.mean(), atol=0.015)
     assert np.abs(np.diff(towards - way, 2)).std() < 0.3 * np.abs(np.diff(noise[:, 2, 0], 2)).std()
-
-
-def test_bad_persons_are_refused() -> None:
-    with pytest.raises(OptionError, match="stamps must rise"):
-        PlayedPerson("a", JOINTS, np.array([1.0, 0.0]), np.zeros((2, 8, 3)))

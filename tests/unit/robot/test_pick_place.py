@@ -17,13 +17,13 @@ def test_order_is_kept_while_nobody_reaches_for_anything() -> None:
     sequence = TaskSequence(ORDER)
     sequence.update(0.0, dict.fromkeys(ORDER, 0.1))
     assert not any(map(sequence.is_taken, ORDER))
-    sequence.finish("red")
+    sequence.finish("red", 0.0)
     assert sequence.remaining == ["green", "blue"]
 
 
 def test_a_cube_that_is_reached_for_is_taken_and_comes_back_later() -> None:
     sequence = TaskSequence(ORDER)
-    sequence.finish("red")
+    sequence.finish("red", 0.0)
     sequence.update(0.0, {"green": 0.6, "blue": 0.0})
     assert sequence.is_taken("green")
     sequence.update(1.0, {"green": 0.1})
@@ -46,9 +46,10 @@ def test_a_probability_between_the_thresholds_changes_nothing() -> None:
 
 def test_what_is_given_up_is_left_no_more() -> None:
     sequence = TaskSequence(ORDER)
-    sequence.give_up("red")
-    assert sequence.remaining == ["green", "blue"]
-    assert sequence.given_up == ["red"]
+    sequence.finish("green", 0.0)
+    sequence.give_up()
+    assert sequence.remaining == []
+    assert sequence.given_up == ["red", "blue"]
 
 
 def test_straight_lines_are_straight_and_keep_the_tool_turned(arm: UR5) -> None:
@@ -57,7 +58,7 @@ def test_straight_lines_are_straight_and_keep_the_tool_turned(arm: UR5) -> None:
     down = CELL.grasp(red.position)[:3, 3]
     way = straight(arm, q, down, 5.0)
     assert way is not None
-    poses = [arm.forward_kinematics(way.at(t)[0]) for t in np.linspace(way.times[0], way.times[-1], 60)]
+    poses = [arm.forward_kinematics(way.at(t)) for t in np.linspace(way.times[0], way.times[-1], 60)]
     places = np.array([pose[:3, 3] for pose in poses])
     np.testing.assert_allclose(places[:, :2], np.tile(down[:2], (60, 1)), atol=2e-3)
     np.testing.assert_allclose(places[-1], down, atol=1e-6)

@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinecast.errors import OptionError
-from kinecast.robot.separation import Separation, SeparationOptions, closest_points, separation
+from kinecast.robot.separation import Moving, Separation, SeparationOptions, closest_points, compare, separation
 
 OPTIONS = SeparationOptions(across=0.0)  # the plain formula
+
+
+def post(x: float, *velocity: float, age: float = 0.0) -> Moving:
+    """An upright capsule of radius 0.1 m that moves along x (and y)."""
+    velocity = np.array([*velocity, 0.0, 0.0])[:3]
+    return Moving(np.array([[x, 0.0, 0.0, x, 0.0, 1.0, 0.1]]), np.tile(velocity, (1, 2)), np.array([age]))
 
 
 def pair(
     distance: float, arm_speed: float, person_speed: float, age: float = 0.0, options: SeparationOptions = OPTIONS
 ) -> Separation:
     """Two parallel capsules of radius 0.1 m at a distance along x, moving towards one another."""
-    start, end = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
-    radius, away = np.array([0.1]), np.array([[distance + 0.2, 0.0, 0.0]])
-    velocity = np.array([[arm_speed, 0.0, 0.0]])
-    towards = np.array([[-person_speed, 0.0, 0.0]])
-    arm, person = (start, end, radius, velocity, velocity), (start + away, end + away, radius, towards, towards)
-    return separation(arm, person, options, np.array([age]))
+    return separation(post(0.0, arm_speed), post(distance + 0.2, -person_speed, age=age), options)
 
 
 def needed(robot: float, human: float, age: float = 0.0) -> float:
@@ -65,33 +65,13 @@ def test_who_is_not_seen_often_enough_counts_as_fast() -> None:
 
 @pytest.mark.parametrize("distance", [0.02, 0.3])
 def test_a_share_of_the_speed_across_counts_as_towards_the_person(distance: float) -> None:
-    start, end, radius = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0.1])
-    away, still = np.array([[distance + 0.2, 0.0, 0.0]]), np.zeros((1, 3))
+    def moving(*velocity: float) -> Separation:
+        return separation(post(0.0, *velocity), post(distance + 0.2, 0.0), SeparationOptions())
 
-    def moving(velocity: tuple[float, float, float]) -> Separation:
-        arm = np.array([velocity])
-        person = (start + away, end + away, radius, still, still)
-        return separation((start, end, radius, arm, arm), person, SeparationOptions())
-
-    towards = moving((0.3 * 0.8, 0.0, 0.0))
-    assert moving((0.0, 0.8, 0.0)).required == pytest.approx(towards.required)
-    assert moving((0.0, 0.8, 0.0)).scale == pytest.approx(towards.scale)
-    assert moving((-0.3 * 0.8, 0.8, 0.0)).scale == 1.0  # drawing back more than across
-
-
-def test_who_gains_speed_counts_as_that_fast() -> None:
-    start, end, radius = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0.1])
-    away, arm = np.array([[1.0, 0.0, 0.0]]), np.array([[0.5, 0.0, 0.0]])
-
-    def required(measured: float, now: float) -> float:
-        slow, fast = np.array([[-measured, 0.0, 0.0]]), np.array([[-now, 0.0, 0.0]])
-        person = (start + away, end + away, radius, slow, slow)
-        return separation((start, end, radius, arm, arm), person, OPTIONS, None, (fast, fast)).required
-
-    assert required(0.3, 0.9) == pytest.approx(needed(0.5, 0.9))
-    assert required(0.9, 0.3) == pytest.approx(needed(0.5, 0.9))
-    assert required(0.3, np.nan) == pytest.approx(needed(0.5, 0.3))
-    assert required(np.nan, np.nan) == pytest.approx(needed(0.5, 1.6))
+    towards = moving(0.3 * 0.8)
+    assert moving(0.0, 0.8).required == pytest.approx(towards.required)
+    assert moving(0.0, 0.8).scale == pytest.approx(towards.scale)
+    assert moving(-0.3 * 0.8, 0.8).scale == 1.0  # drawing back more than across
 
 
 def test_who_stands_still_may_start() -> None:
@@ -107,7 +87,7 @@ def test_nearest_points_against_a_fine_grid() -> None:
     grid = np.linspace(0, 1, 201)
     for _ in range(50):
         a0, a1, b0, b1 = rng.normal(size=(4, 3))
-        s, t = closest_points(a0, a1, b0, b1)
+        s, t = closest_points(np.concatenate([a0, a1]), np.concatenate([b0, b1]))
         found = np.linalg.norm(a0 + s * (a1 - a0) - b0 - t * (b1 - b0))
         first = a0 + grid[:, None] * (a1 - a0)
         second = b0 + grid[:, None] * (b1 - b0)
@@ -116,7 +96,19 @@ def test_nearest_points_against_a_fine_grid() -> None:
         assert found >= brute - 0.05
 
 
-@pytest.mark.parametrize(("name", "value"), [("reaction", 0.0), ("braking", 0.0), ("across", -1.0), ("across", np.nan)])
-def test_options_are_checked(name: str, value: float) -> None:
-    with pytest.raises(OptionError, match=name):
-        SeparationOptions(**{name: value})
+def test_pairs_passed_over_change_nothing() -> None:
+    """Of many capsules, the same as of each alone; and where the share of the speed alone is wanted, the same share."""
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        arm, people = (
+            Moving(np.c_[rng.normal(size=(5, 6)), np.full(5, 0.1)], rng.normal(size=(5, 6)), np.full(5, 0.05))
+            for _ in range(2)
+        )
+        alone = [
+            separation(Moving(*(x[[i]] for x in arm)), Moving(*(x[[j]] for x in people)), OPTIONS)
+            for i in range(5) for j in range(5)
+        ]  # fmt: skip
+        worst = min(alone, key=lambda each: each.margin)
+        least, scale = min(each.distance for each in alone), min(each.scale for each in alone)
+        assert separation(arm, people, OPTIONS) == Separation(least, worst.required, worst.margin, scale)
+        assert compare(arm, people, OPTIONS, 0.0, True)[3] == scale

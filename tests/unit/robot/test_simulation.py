@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,11 +12,11 @@ import pytest
 
 from kinecast.body.skeleton import ARM_JOINTS
 from kinecast.robot.async_planner import Solve
-from kinecast.robot.camera import CameraFrame
 from kinecast.robot.cell import Cell, cell_named
 from kinecast.robot.choice import Choice, Chooser, Request
 from kinecast.robot.episode import Episode
-from kinecast.robot.planner import NoPlan, Planner
+from kinecast.robot.people import CameraFrame
+from kinecast.robot.planner import NoPlan
 from kinecast.robot.simulated_person import Person
 from kinecast.robot.simulation import Predict, Simulation
 from kinecast.robot.ur5 import UR5
@@ -65,7 +66,9 @@ def play(
     **faults: tuple[tuple[float, float], ...],
 ) -> Episode:
     """An episode to its end, with faults of the camera."""
-    return Simulation(people, predict, FaultyCamera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT).run()
+    simulation = Simulation(people, predict, FaultyCamera(**CLEAN, **faults), cell, solve=solve, limit=limit, dt=DT)
+    deque(simulation.steps(), maxlen=0)
+    return simulation.episode
 
 
 def of(episode: Episode, state: RobotState) -> list[Decision]:
@@ -113,16 +116,16 @@ def test_a_person_who_stands_still_is_no_hindrance(alone: Episode) -> None:
 
 
 def test_a_person_never_seen_a_silent_camera_and_joints_that_are_nan_hold_the_arm_until_they_are_seen() -> None:
-    episode = play([standing()], silent=((2.0, 4.0),), blind=((0.0, 1.0), (4.6, 5.6)))
+    episode = play([standing()], silent=((2.0, 3.2),), blind=((0.0, 1.0), (3.8, 4.8)))
     check(episode)
     stopped = [(each.stamp, each.reason) for each in of(episode, RobotState.STOPPED)]
     assert any("never seen" in reason for stamp, reason in stopped if stamp < 1.1)
     assert speeds(episode, 0.0, 1.0).max() < 1e-3
-    assert "camera is silent" in [reason for stamp, reason in stopped if 2.0 < stamp < 4.0][-1]
-    assert speeds(episode, 2.6, 4.0).max() < 1e-3
-    assert speeds(episode, 4.2, 4.6).max() > 0.1
-    assert any("near" in each.reason or "may" in each.reason for each in episode.decisions if 4.6 < each.stamp < 5.7)
-    assert speeds(episode, 5.3, 5.6).max() < 0.1
+    assert "camera is silent" in [reason for stamp, reason in stopped if 2.0 < stamp < 3.2][-1]
+    assert speeds(episode, 2.6, 3.2).max() < 1e-3
+    assert speeds(episode, 3.4, 3.8).max() > 0.1
+    assert any("near" in each.reason or "may" in each.reason for each in episode.decisions if 3.8 < each.stamp < 4.9)
+    assert speeds(episode, 4.5, 4.8).max() < 0.1
 
 
 def test_nobody_known_and_a_silent_camera_stop_the_arm_too() -> None:
@@ -146,26 +149,25 @@ def test_a_cube_out_of_reach_is_given_up_and_the_others_are_done() -> None:
     red, green, _ = LAB.cubes
     cell = replace(LAB, cubes=(replace(red, position=np.array([1.4, 0.3, 0.005])), green))
     episode = play(cell=cell)
-    assert episode.given_up == ("red",)
+    assert episode.given_up == ["red"]
     assert episode.placed.keys() == {"green"}
     assert episode.decisions[-1].state is RobotState.DONE
     assert "without red" in episode.decisions[-1].reason
 
 
-def test_the_last_cube_blocked_for_six_seconds_it_waits_says_why_and_goes_on() -> None:
+def test_the_last_cube_blocked_for_a_while_it_waits_says_why_and_goes_on() -> None:
     cube = CELL.cubes[0].position
     pose = FAR.copy()
     pose[3:6] = cube + np.array([[0.5, 0.05, 0.4], [0.3, 0.05, 0.25], [0.09, 0.0, 0.09]])
-    episode = play([standing(pose, present=(0.0, 6.0))])
+    episode = play([standing(pose, present=(0.0, 4.0))])
     check(episode)
     held = of(episode, RobotState.STOPPED) + of(episode, RobotState.SLOWED) + of(episode, RobotState.WAITING)
-    assert any("person" in decision.reason and decision.stamp < 4.0 for decision in held)
-    assert not [decision for decision in of(episode, RobotState.GRASPING) if decision.stamp < 6.0]
+    assert any("person" in decision.reason and decision.stamp < 3.0 for decision in held)
+    assert not [decision for decision in of(episode, RobotState.GRASPING) if decision.stamp < 4.0]
 
 
 def test_a_planner_that_crashes_is_asked_again() -> None:
-    arm, calls = UR5(), []
-    working = Chooser(Planner(arm, CELL.scene), CELL).choose
+    calls, working = [], Chooser(UR5(), CELL).choose
 
     def failing(request: Request) -> Choice | NoPlan:
         calls.append(request)

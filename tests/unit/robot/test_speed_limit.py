@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kinecast.robot.separation import Separation
-from kinecast.robot.speed_limit import Level, LimitReason, SpeedHysteresis, SpeedLimit
+from kinecast.robot.speed_limit import FULL, HELD, SLOW, LimitReason, SpeedHysteresis, SpeedLimit
 
 DT = 0.01
 
@@ -16,7 +16,7 @@ def limit(speed: float, reason: LimitReason) -> SpeedLimit:
 
 def through(
     going: SpeedHysteresis, limits: list[SpeedLimit], start: float = DT
-) -> list[tuple[float, Level, LimitReason]]:
+) -> list[tuple[float, int, LimitReason]]:
     """Speed, level and cause after each of the limits, one a control step."""
     states = []
     for k, each in enumerate(limits):
@@ -29,9 +29,9 @@ def test_it_brakes_at_once_and_speeds_up_gently() -> None:
     going = SpeedHysteresis()
     going.begin()
     braked, *rising = through(going, [limit(0.1, LimitReason.DOUBT)] + [limit(1.0, LimitReason.NOTHING)] * 40)
-    assert braked == (0.1, Level.SLOW, LimitReason.DOUBT)
+    assert braked == (0.1, SLOW, LimitReason.DOUBT)
     assert rising[0][0] == pytest.approx(0.1 + 3.0 * DT)
-    assert rising[-1] == (1.0, Level.FULL, LimitReason.NOTHING)
+    assert rising[-1] == (1.0, FULL, LimitReason.NOTHING)
 
 
 def test_what_flickers_is_said_once() -> None:
@@ -40,14 +40,14 @@ def test_what_flickers_is_said_once() -> None:
         limit(0.0, LimitReason.SEPARATION), limit(0.03, LimitReason.DOUBT), limit(0.0, LimitReason.SEPARATION),
         limit(1.0, LimitReason.NOTHING),
     ] * 20  # fmt: skip
-    assert {state[1:] for state in through(going, flicker)} == {(Level.HELD, LimitReason.SEPARATION)}
+    assert {state[1:] for state in through(going, flicker)} == {(HELD, LimitReason.SEPARATION)}
 
 
 def test_what_lasts_is_said() -> None:
     going = SpeedHysteresis()
     states = through(going, [limit(0.0, LimitReason.SEPARATION)] * 5 + [limit(0.4, LimitReason.DOUBT)] * 30)
     changes = [k for k in range(1, len(states)) if states[k][1:] != states[k - 1][1:]]
-    assert states[-1][1:] == (Level.SLOW, LimitReason.DOUBT)
+    assert states[-1][1:] == (SLOW, LimitReason.DOUBT)
     assert [(k - 4) * DT for k in changes] == pytest.approx([0.15], abs=2 * DT)
 
 

@@ -64,30 +64,28 @@ def test_capsules_are_where_pinocchio_puts_them(arm: UR5) -> None:
     for n in range(len(q)):
         pin.forwardKinematics(arm.model, data, q[n])
         for k in range(len(LINKS)):
-            placed = data.oMi[int(arm.capsule_joint[k]) + 1]
-            start = placed.act(arm.capsule_sites[k])
-            end = placed.act(arm.capsule_sites[len(LINKS) + k])
-            np.testing.assert_allclose(capsules.start[n, k], start, atol=1e-12)
-            np.testing.assert_allclose(capsules.end[n, k], end, atol=1e-12)
+            placed = data.oMi[int(arm.link_joint[k]) + 1]
+            np.testing.assert_allclose(capsules[n, k, :3], placed.act(arm.links[k, :3]), atol=1e-12)
+            np.testing.assert_allclose(capsules[n, k, 3:6], placed.act(arm.links[k, 3:6]), atol=1e-12)
 
 
 def test_the_tool_lies_between_the_fingertips(arm: UR5) -> None:
     q = np.array([[0.4, -1.1, 1.3, 1.4, 1.6, -1.1]])
     left, right = LINKS.index("left_finger"), LINKS.index("right_finger")
-    ends = arm.capsules(q).end[0]
+    ends = arm.capsules(q)[0, :, 3:6]
     np.testing.assert_allclose(arm.forward_kinematics(q[0])[:3, 3], 0.5 * (ends[left] + ends[right]), atol=1e-12)
 
 
 def test_links_are_joined(arm: UR5) -> None:
     """From the shoulder to the palm each capsule touches the one before: nothing of the arm is left out."""
-    capsules = arm.capsules(np.zeros((1, 6)))
+    links = arm.capsules(np.zeros(6))
     for k in range(LINKS.index("palm")):
         gaps = [
             np.linalg.norm(a - b)
-            for a in np.linspace(capsules.start[0, k], capsules.end[0, k], 50)
-            for b in np.linspace(capsules.start[0, k + 1], capsules.end[0, k + 1], 50)
+            for a in np.linspace(links[k, :3], links[k, 3:6], 50)
+            for b in np.linspace(links[k + 1, :3], links[k + 1, 3:6], 50)
         ]
-        assert min(gaps) < capsules.radius[k] + capsules.radius[k + 1]
+        assert min(gaps) < links[k, 6] + links[k + 1, 6]
 
 
 def test_every_branch_reaches_the_place_and_the_true_one_is_among_them(arm: UR5) -> None:

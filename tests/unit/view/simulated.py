@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinecast.body.skeleton import ARM_JOINTS
-from kinecast.robot.camera import Camera
-from kinecast.robot.simulated_person import PlayedPerson
+from kinecast.robot.simulated_person import Camera, PlayedPerson
 from kinecast.robot.simulation import Simulation
 
 POSE = np.array(

@@ -40,9 +40,9 @@ def test_a_finished_run_can_be_gone_through(viewer: Viewer) -> None:
     viewer.playback.seek(run.last)
     viewer.refresh()
     moment = run.episode.scenes[-1]
-    capsules = stage.arm.capsules(moment.q[None])
+    links = stage.arm.capsules(moment.q)
     corners = stage.links["bones"]._node.vertices  # the forearm's are the last
-    around = capsules.start[0, 3] / 2 + capsules.end[0, 3] / 2
+    around = links[3, :3] / 2 + links[3, 3:6] / 2
     np.testing.assert_allclose(corners[len(corners) // 2 :].mean(axis=0), around, atol=1e-6)
     assert set(stage.cubes) == {"red", "green", "blue"}
     np.testing.assert_allclose(stage.cubes["red"].position, moment.cubes["red"])
