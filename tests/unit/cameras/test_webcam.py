@@ -22,6 +22,7 @@ from kinecast.cameras.webcam import WebcamOptions, WebcamSource
 from kinecast.errors import ModelError, OptionError
 from kinecast.live.detection import Detection
 from kinecast.live.mailbox import Mailbox
+from kinecast.live.settings import read_settings
 
 LONG = 120.0
 
@@ -72,8 +73,8 @@ def test_what_is_no_model_and_too_many_people_are_refused(model: Path, tmp_path:
     for path in (tmp_path / "bad.task", tmp_path / "none.task", tmp_path):
         with pytest.raises(ModelError, match="is no PoseLandmarker model"):
             Landmarker(path)
-    with pytest.raises(OptionError, match=r"people '5' is outside 1\.\.4"):
-        WebcamOptions.parse({"model": str(model), "people": "5"}, "camera:0")
+    with pytest.raises(OptionError, match=r"people '5', expected a whole number in 1\.\.4"):
+        read_settings(WebcamOptions, f"model={model}&people=5", "camera:0")
 
 
 def test_a_camera_of_a_rig_gives_pixels_and_no_depth(photograph: np.ndarray, model: Path, tmp_path: Path) -> None:
