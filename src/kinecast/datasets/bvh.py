@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from kinecast.body.skeleton import ARM_JOINTS, BVH_COLLAR, BVH_FOREARM
 from kinecast.datasets.files import MOST_POINTS, base_name, head, number, read_bytes, rows
@@ -142,7 +143,8 @@ def _positions(joints: list[_Joint], table: Float[np.ndarray, "N C"]) -> Float[n
     Position channels replace a joint's offset; rotation channels apply in the order they are written.
     """
     origins: list[Float[np.ndarray, "N 3"]] = []  # of the joints on the way from the root, by depth
-    turns: list[Rotation] = []
+    Rotation = scipy.spatial.transform.Rotation  # found when used: commands that read no BVH start sooner
+    turns: list[Any] = []
     positions = []
     column = 0
     for joint in joints:

@@ -136,7 +136,7 @@ def draw_timeline(path: Path, episode: Episode, title: str) -> None:
         ):
             near.plot(stamps, np.minimum(metres, FARTHEST), color=colour, lw=1.4, label=label)
         near.set(ylim=(-0.02, FARTHEST + 0.02), ylabel="metres")
-        near.legend(loc="upper right", frameon=False, fontsize=8.5, ncols=2)
+        near.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), frameon=False, fontsize=8.5, ncols=2)
         pace.fill_between(stamps, [tick.speed for tick in ticks], color=hex_of(STATES[RobotState.MOVING]), lw=0,
                           alpha=0.5, step="post")  # fmt: skip
         pace.set(ylim=(0, 1.05), ylabel="speed share")
