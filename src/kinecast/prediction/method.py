@@ -182,22 +182,23 @@ def forecast_in_scene(
 def joint_covariances(samples: Float[np.ndarray, "S T 6 3"]) -> Float[np.ndarray, "T 6 3 3"]:
     """(T, 6, 3, 3) covariance of each joint's position at each step [m^2]."""
     count, steps = samples.shape[:2]
-    covariances = _covariances(samples.reshape(count, -1, 3), samples.mean(axis=0).reshape(-1, 3))
-    return covariances.reshape(steps, 6, 3, 3)
+    flat = samples.reshape(count, -1)
+    own, next_, last = _lagged_products(flat, flat.mean(axis=0)).reshape(3, steps, 6, 3) / count
+    xx, yy, zz = np.moveaxis(own, -1, 0)
+    xy, yz, xz = next_[..., 0], next_[..., 1], last[..., 0]
+    return np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(steps, 6, 3, 3)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _covariances(samples: Float[np.ndarray, "S K 3"], mean: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3 3"]:
-    out = np.zeros((len(mean), 3, 3))
-    for s in range(len(samples)):
-        for k in range(len(mean)):
-            x, y, z = samples[s, k, 0] - mean[k, 0], samples[s, k, 1] - mean[k, 1], samples[s, k, 2] - mean[k, 2]
-            out[k, 0, 0] += x * x
-            out[k, 0, 1] += x * y
-            out[k, 0, 2] += x * z
-            out[k, 1, 1] += y * y
-            out[k, 1, 2] += y * z
-            out[k, 2, 2] += z * z
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = out[:, 0, 1], out[:, 0, 2], out[:, 1, 2]
-    return out / len(samples)
+def _lagged_products(rows: Float[np.ndarray, "S K"], mean: Float[np.ndarray, " K"]) -> Float[np.ndarray, "3 K"]:
+    """Sums over rows of each departure from the mean times itself, the next, and the next but one."""
+    size = len(mean)
+    out, departure = np.zeros((3, size)), np.zeros(size + 2)
+    for s in range(len(rows)):
+        for k in range(size):
+            departure[k] = rows[s, k] - mean[k]
+        for lag in range(3):
+            for k in range(size):
+                out[lag, k] += departure[k] * departure[k + lag]
+    return out

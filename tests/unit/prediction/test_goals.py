@@ -19,7 +19,7 @@ from kinecast.pipeline import frames
 from kinecast.prediction import density as density_module
 from kinecast.prediction.density import JOINT_ORDER, GaussianMixture, PoseDensity
 from kinecast.prediction.goals import HANDS, goal_probabilities
-from kinecast.prediction.kinecast.model import Kinecast
+from kinecast.prediction.kinecast.model import Kinecast, MixtureBlocks
 from kinecast.prediction.method import Forecast, forecast_in_scene, shortened
 from kinecast.prediction.methods import shipped_methods
 from kinecast.prediction.observation import Observation
@@ -125,8 +125,8 @@ def test_a_goal_draws_mean_and_samples_to_it(method: Kinecast, seen: Observation
 
 def mixture(found: Forecast) -> GaussianMixture:
     assert isinstance(found.density, PoseDensity)
-    assert isinstance(found.density.blocks, GaussianMixture)
-    return found.density.blocks
+    assert isinstance(found.density.blocks, MixtureBlocks)
+    return found.density.blocks.mixture
 
 
 def test_density_integrates_to_one(method: Kinecast, seen: Observation, monkeypatch: pytest.MonkeyPatch) -> None:

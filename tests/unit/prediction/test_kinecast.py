@@ -10,7 +10,7 @@ import pytest
 from kinecast.body.limits import JointLimits, violations
 from kinecast.body.posture import postures_from_points
 from kinecast.errors import ModelError
-from kinecast.prediction.density import GaussianMixture, PoseDensity
+from kinecast.prediction.density import PoseDensity
 from kinecast.prediction.kinecast import fit, objectives
 from kinecast.prediction.kinecast.error_model import (
     CEILING,
@@ -32,7 +32,7 @@ from kinecast.prediction.kinecast.experts import (
     yaw_frame,
 )
 from kinecast.prediction.kinecast.fit import fitting_kinecast
-from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, ablations, kinecast_from_arrays
+from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureBlocks, ablations, kinecast_from_arrays
 from kinecast.prediction.kinecast.objectives import fit_error_model, fit_gate, fit_network
 from kinecast.prediction.kinecast.weights import (
     HALF_LIVES,
@@ -175,8 +175,8 @@ class TestForecast:
         free = replace(method, limits=None)
         forecast = forecast_in_scene(free, free.init_state(), observation, np.random.default_rng(0), 6000, None)
         assert isinstance(forecast.density, PoseDensity)
-        law = forecast.density.blocks
-        assert isinstance(law, GaussianMixture)
+        assert isinstance(forecast.density.blocks, MixtureBlocks)
+        law = forecast.density.blocks.mixture
         drawn = observation.to_torso(forecast.samples)[:, :, [0, 3, 1, 2, 4, 5]].reshape(6000, -1, 18)
         variance = (law.factor[0] ** 2).sum(axis=-1) * float(law.scale_weights @ law.scales**2)
         np.testing.assert_allclose(drawn.std(axis=0), np.sqrt(variance), rtol=0.15)

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from kinecast.body.limits import JointLimits
-from kinecast.prediction.density import ConstraintFactor, GaussianMixture, PoseDensity
+from kinecast.prediction.density import Blocks, ConstraintFactor, GaussianMixture, PoseDensity
 from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
 from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
 from kinecast.prediction.kinecast.experts import TRIVIAL, FeatureScale, Networks, WindowMotion, forecasts, yaw_frame
@@ -210,7 +211,7 @@ class Kinecast:
             return mean + np.tensordot(draws, factor, axes=(0, 3))
 
         constraint = None if self.limits is None else ConstraintFactor(drawn, observation, self.limits, self.noise)
-        blocks = _blocks(mean, factor, model.rough[:steps], state.weights, goals)
+        blocks = MixtureBlocks(mean, factor, model.rough[:steps], state.weights, goals)
         return Forecast(
             sample_motions(observation, mean, factor, draws, self.limits, model.farthest[:steps]),
             world_mean,
@@ -227,24 +228,38 @@ class Kinecast:
         return {f"{part}.{name}": array for part, arrays in known.items() for name, array in arrays.items()}
 
 
-def _blocks(
-    mean: Motion, factor: Factor, rough: Motion, weights: Float[np.ndarray, " K"], goals: GoalMixture | None
-) -> GaussianMixture:
-    """The density behind the draws: a scale mixture about the mean, or about each goal's.
+@dataclass(frozen=True)
+class MixtureBlocks:
+    """The density behind the draws: a scale mixture about the mean, or about each goal's; made once it is asked for.
 
     Of the spread of each number, `rough` is its own: what is measured is not as smooth as what is drawn.
     """
-    spread = np.sqrt((factor**2).sum(axis=-1))
-    smooth = factor * np.sqrt(1.0 - rough**2)[..., None]
-    centres, each, kind, factors = mean[None], np.ones(1), np.zeros(1, dtype=int), smooth[None]
-    if goals is not None:
-        kinds, kind = np.unique(goals.kind, return_inverse=True)
-        factors = np.stack([goals.factor(smooth, one) for one in kinds.tolist()])
-        centres, each = mean + np.moveaxis(factor @ goals.shifts, -1, 0), goals.weights
-    floor = np.broadcast_to(np.hypot(rough * spread, FLOOR), factors.shape[:-1])
-    return GaussianMixture.of_positions(
-        centres, factors, floor, weights=each, kind=kind, scales=SCALES, scale_weights=weights
-    )
+
+    mean: Motion
+    factor: Factor
+    rough: Motion
+    weights: Float[np.ndarray, " K"]
+    goals: GoalMixture | None
+
+    def log_blocks(self, poses: Motion) -> Blocks:
+        """See kinecast.prediction.density.BlockDensity."""
+        return self.mixture.log_blocks(poses)
+
+    @cached_property
+    def mixture(self) -> GaussianMixture:
+        """Of all 18 coordinates at each step."""
+        mean, factor, goals = self.mean, self.factor, self.goals
+        spread = np.sqrt((factor**2).sum(axis=-1))
+        smooth = factor * np.sqrt(1.0 - self.rough**2)[..., None]
+        centres, each, kind, factors = mean[None], np.ones(1), np.zeros(1, dtype=int), smooth[None]
+        if goals is not None:
+            kinds, kind = np.unique(goals.kind, return_inverse=True)
+            factors = np.stack([goals.factor(smooth, one) for one in kinds.tolist()])
+            centres, each = mean + np.moveaxis(factor @ goals.shifts, -1, 0), goals.weights
+        floor = np.broadcast_to(np.hypot(self.rough * spread, FLOOR), factors.shape[:-1])
+        return GaussianMixture.of_positions(
+            centres, factors, floor, weights=each, kind=kind, scales=SCALES, scale_weights=self.weights
+        )
 
 
 def with_noise(factor: Factor, noise: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6 3 R2"]:
