@@ -110,6 +110,8 @@ def _run(loop: Live, sources: Sequence[Source], last: ExitStack, browser: bool) 
             raise KeyboardInterrupt
         stop.set()
 
+    # Nobody else is told of Ctrl-C meanwhile.
+    last.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(-1), warn_on_full_buffer=False)
     for number in (signal.SIGINT, signal.SIGTERM):
         last.callback(signal.signal, number, signal.signal(number, tell))
     said = [f"source: {source.address}" for source in sources] + [f"sink: {sink.address}" for sink in loop.sinks]

@@ -42,6 +42,7 @@ class Viewer:
         """
         signals: list[int] = []
         before = signal.signal(signal.SIGINT, lambda number, _: signals.append(number))
+        wakeup = signal.set_wakeup_fd(-1)  # nobody else is told of Ctrl-C meanwhile
         last = time.monotonic()
         try:
             while not signals:
@@ -52,6 +53,7 @@ class Viewer:
                 self.refresh()
         finally:
             signal.signal(signal.SIGINT, before)
+            signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
 
     def refresh(self) -> None:
         """Sends what is to be seen now."""
