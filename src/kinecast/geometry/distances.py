@@ -177,9 +177,7 @@ def _nearest(
                 for o in range(rows.shape[1]):
                     cx, cy, cz = rows[t, o, 1], rows[t, o, 2], rows[t, o, 3]
                     if rows[t, o, 0] == HALF_SPACE:
-                        nx, ny, nz = rows[t, o, 4], rows[t, o, 5], rows[t, o, 6]
-                        start = nx * (ax - cx) + ny * (ay - cy) + nz * (az - cz)
-                        end = nx * (bx - cx) + ny * (by - cy) + nz * (bz - cz)
+                        start, end = _height(rows[t, o], (ax, ay, az)), _height(rows[t, o], (bx, by, bz))
                         nearest = min(nearest, start, end)
                         continue
                     x, y, z = half[t, o, 0] + nearest, half[t, o, 1] + nearest, half[t, o, 2] + nearest
