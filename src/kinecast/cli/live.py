@@ -26,6 +26,7 @@ from kinecast.cli.options import SHIPPED_HORIZON, ModelFile, OptionalFile, check
 from kinecast.cli.progress import CONSOLE, columns, plain, status_lines
 from kinecast.errors import OptionError
 from kinecast.geometry.scene import Scene
+from kinecast.interrupts import answered
 from kinecast.predictor import Predictor, PredictorOptions
 from kinecast.types import Status
 
@@ -110,10 +111,7 @@ def _run(loop: Live, sources: Sequence[Source], last: ExitStack, browser: bool) 
             raise KeyboardInterrupt
         stop.set()
 
-    # Nobody else is told of Ctrl-C meanwhile.
-    last.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(-1), warn_on_full_buffer=False)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        last.callback(signal.signal, number, signal.signal(number, tell))
+    last.enter_context(answered(tell, signal.SIGINT, signal.SIGTERM))
     said = [f"source: {source.address}" for source in sources] + [f"sink: {sink.address}" for sink in loop.sinks]
     print("\n".join([*said, "Ctrl-C ends it"]), flush=True)
     gc.collect()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -169,7 +169,7 @@ def _serve(host: str, port: int, scenario: str, predictor: str, world: _World, o
 
     first = Setting(RECORDED if RECORDED in played else scenario, predictor)
     simulations = Simulations(tuple(played), PREDICTORS, world.cell, make, _tell, end)
-    with closing(Viewer(host, port, first, simulations)) as it, suppress(KeyboardInterrupt):
+    with closing(Viewer(host, port, first, simulations)) as it:
         print(f"view: {it.url} (Ctrl-C ends it)", flush=True)
         it.serve()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 
+from kinecast.interrupts import answered
 from kinecast.robot.episode import SceneSnapshot
 from kinecast.view.panel import Panel
 from kinecast.view.playback import Playback, Run, Setting, Simulations
@@ -41,19 +42,14 @@ class Viewer:
         holds a lock, or where Python can only print it.
         """
         signals: list[int] = []
-        before = signal.signal(signal.SIGINT, lambda number, _: signals.append(number))
-        wakeup = signal.set_wakeup_fd(-1)  # nobody else is told of Ctrl-C meanwhile
         last = time.monotonic()
-        try:
+        with answered(lambda number, _: signals.append(number), signal.SIGINT):
             while not signals:
                 time.sleep(PERIOD)
                 now = time.monotonic()
                 self.playback.advance(min(now - last, LEAP))
                 last = now
                 self.refresh()
-        finally:
-            signal.signal(signal.SIGINT, before)
-            signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
 
     def refresh(self) -> None:
         """Sends what is to be seen now."""
