@@ -118,3 +118,15 @@ def test_a_recorded_person_stands_at_the_table_and_moves_as_they_did_without_the
     towards = -(hand - hand.mean(axis=0))[:, 0]  # they look at the arm
     np.testing.assert_allclose(towards, way - way.mean(), atol=0.015)
     assert np.abs(np.diff(towards - way, 2)).std() < 0.3 * np.abs(np.diff(noise[:, 2, 0], 2)).std()
+
+
+def test_no_joint_of_a_recorded_person_gains_speed_as_only_a_tracker_does() -> None:
+    stamps = np.arange(0.0, 8.0, 1 / 30)
+    positions = np.repeat(POSE[None], len(stamps), axis=0)
+    positions[:, 2, 2] += 0.1 * np.sin(2 * np.pi * 0.5 * stamps)
+    positions[(stamps > 4.0) & (stamps < 5.0), 2, 1] += 0.5  # the hand is taken for the other one
+    person = replayed_person(Recording("take", JOINTS, stamps, positions, 30.0), Cell())
+    gained = np.linalg.norm(np.diff(person.positions, n=2, axis=0), axis=2) * 30.0**2
+    assert gained.max() <= 30.0
+    before = person.positions[stamps < 3.5, 2, 2]
+    assert np.ptp(before) == pytest.approx(0.2, rel=0.05), "what hands do remains"
