@@ -22,7 +22,7 @@ from kinecast.types import Density, Prediction, SkeletonFrame, Status
 LONGEST_DELAY = 0.3  # a frame older than this when it arrives is LATE [s]
 MOST_PERSONS = 64  # followed at once; the one not seen for longest is forgotten first
 FORGET_AFTER = 5.0  # a person not seen for this long is forgotten [s]
-UNFAMILIAR_SHARE = 0.1  # weight of the learned experts below which the status says that they have given way
+UNFAMILIAR_SKILL = -0.15  # so much worse than a trivial predictor, and the status says that nobody in training moved so
 AT_REST = 0.1  # whose joints all move slower than this [m/s] is best predicted to stay, and that is nothing unfamiliar
 HAND_SPEED = 2.0
 """Fastest approach of a hand [m/s] (ISO 13855:2010, clause 5): bounds what is said before anything is known."""
@@ -164,8 +164,8 @@ class Predictor:
             return Status.BLOCKED
         if trouble is not Status.OK:
             return trouble
-        given_way = forecast.diagnostics.get("learned_share", 1.0) < UNFAMILIAR_SHARE
-        return Status.UNFAMILIAR if taken is Status.OK and given_way and _speed(observation) > AT_REST else taken
+        behind = forecast.diagnostics.get("skill", 0.0) < UNFAMILIAR_SKILL
+        return Status.UNFAMILIAR if taken is Status.OK and behind and _speed(observation) > AT_REST else taken
 
     def _update(self, track: Track, observation: Observation) -> None:
         """The method learns of this frame; a camera faster than the model's grid is taken at the grid's pace."""

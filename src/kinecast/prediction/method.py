@@ -32,7 +32,7 @@ class Forecast:
         mean: (T, 6, 3) expected positions [m].
         density: the exact density at each step.
         constrained: whether joint limits hold the samples; only then does the scene reject some of them.
-        diagnostics: what else the method says of itself, e.g. `learned_share`.
+        diagnostics: what else the method says of itself, e.g. `skill`.
         goals: per hand, the probability of each goal of the scene; empty where none were given.
         accepted: (T,) share of motions that no obstacle had stopped by each step; None where nothing rejected any.
         distinct: number of distinct motions among the samples; None for all of them.

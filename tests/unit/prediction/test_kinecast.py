@@ -41,8 +41,10 @@ from kinecast.prediction.kinecast.weights import (
     LONG_RUN,
     Gate,
     GateInputs,
+    OnlineRegression,
     RollingForecastErrors,
-    fallback_weights,
+    corrected_share,
+    skill,
 )
 from kinecast.prediction.method import forecast_in_scene, shortened
 from kinecast.prediction.model_file import ModelCard
@@ -454,17 +456,65 @@ class TestParts:
         scale.observe(np.full((6, 3), 10.0))
         np.testing.assert_array_equal(scale.factor(REST), 1.0)
 
-    @pytest.mark.parametrize("better", [0, 1, TRIVIAL])
-    def test_the_fallback_goes_with_whoever_errs_least(self, better: int) -> None:
-        due = np.full((TRIVIAL + 5, 6, len(LEADS), len(HALF_LIVES)), 0.03)
-        due[-2 if better == 0 else better - 1, ..., LONG_RUN] = 0.02  # the mixture's own are the last but one
-        weights = fallback_weights(due, 500)
-        np.testing.assert_allclose(weights.sum(axis=0), 1.0)
-        assert (weights[better] > 0.9).all()
+    def test_a_regression_learns_what_experts_leave_over_on_a_person_and_nothing_from_one_without_errors(self) -> None:
+        rng, steps = np.random.default_rng(0), 6
+        pose = np.cumsum(rng.normal(0.0, 0.02, (400, 6, 3)), axis=0)
+        for share in (0.5, 0.0):  # the truth lies so far from the mixture towards the second expert
+            regression, errors = OnlineRegression(2, steps), []
+            for k in range(300):
+                regression.observe(pose[k])
+                to_come = pose[k + 1 : k + 1 + steps]
+                second = to_come + (1.0 - share) * np.array([0.1, 0.0, 0.0])
+                mixed = second - np.array([0.1, 0.0, 0.0])
+                corrected = regression.corrected(mixed, np.stack([mixed, second]), pose[k])
+                errors.append(np.abs(corrected - to_come).max())
+            assert max(errors[:1]) == pytest.approx(0.1 * share)
+            assert max(errors[-50:]) < 0.02
 
-    def test_the_fallback_begins_with_the_mixture(self) -> None:
-        weights = fallback_weights(np.full((TRIVIAL + 5, 6, len(LEADS), len(HALF_LIVES)), np.nan), 0)
-        assert (weights[0] > 0.9).all()
+    def test_a_regression_learns_that_somebody_goes_home(self) -> None:
+        steps, regression, stays, goes = 6, OnlineRegression(1, 6), 0.0, 0.0
+        pose, rng = np.zeros((3000, 6, 3)), np.random.default_rng(0)
+        for k in range(1, len(pose)):  # a tenth of the way back in each frame, and a push
+            pose[k] = 0.9 * pose[k - 1] + rng.normal(0.0, 0.02, (6, 3))
+        for k in range(len(pose) - steps):
+            regression.observe(pose[k])
+            mixed = np.repeat(pose[k][None], steps, axis=0)
+            corrected = regression.corrected(mixed, mixed[None], pose[k])
+            if k > 1000:
+                stays += np.linalg.norm(pose[k + steps] - pose[k], axis=1).mean()
+                goes += np.linalg.norm(pose[k + steps] - corrected[-1], axis=1).mean()
+        best = np.sqrt((1.0 - 0.9**12) / (2.0 * (1.0 - 0.9**6)))  # of forecasts that know all that
+        assert goes / stays == pytest.approx(best, abs=0.02)
+
+    def test_a_regression_learns_nothing_from_frames_that_were_not_seen_or_not_shown(self) -> None:
+        def after(pose: np.ndarray, skipped: int) -> np.ndarray:
+            regression = OnlineRegression(2, 3)
+            mixed, made = np.zeros((3, 6, 3)), np.stack([np.zeros((3, 6, 3)), np.ones((3, 6, 3))])
+            for _ in range(50):
+                regression.corrected(mixed, made, np.zeros((6, 3)))
+                regression.skip(skipped)
+                regression.observe(pose)
+            return regression.corrected(mixed, made, np.zeros((6, 3)))
+
+        assert np.abs(after(np.ones((6, 3)), 0)).min() > 0.3
+        np.testing.assert_array_equal(after(np.full((6, 3), np.nan), 0), 0.0)
+        np.testing.assert_array_equal(after(np.ones((6, 3)), 3), 0.0)
+
+    @pytest.mark.parametrize("better", [0, 1])
+    def test_the_mixture_takes_its_correction_where_that_errs_less(self, better: int) -> None:
+        due = np.full((TRIVIAL + 3, 6, len(LEADS), len(HALF_LIVES)), 0.03)
+        due[-3 + better, ..., LONG_RUN] = 0.02
+        np.testing.assert_allclose(corrected_share(due, 500), better, atol=0.05)
+        assert (corrected_share(due * np.nan, 0) < 0.5).all()
+
+    def test_skill_is_measured_against_the_best_trivial_expert(self) -> None:
+        due = np.full((TRIVIAL + 4, 6, len(LEADS), len(HALF_LIVES)), 0.04)
+        due[1] = 0.02
+        assert skill(due, 10**6) == pytest.approx(-1.0, abs=0.1)
+        due[-1] = 0.01
+        assert skill(due, 10**6) == pytest.approx(0.5, abs=0.05)
+        assert skill(due, 3) < 0.1
+        assert skill(due * np.nan, 0) == 0.0
 
     def test_the_spread_grows_after_misses_and_shrinks_after_none(self, method: Kinecast) -> None:
         steps = method.steps

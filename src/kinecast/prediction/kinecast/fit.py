@@ -12,10 +12,10 @@ from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel
-from kinecast.prediction.kinecast.experts import FeatureScale, Networks, arm_views, forecasts, yaw_frame
+from kinecast.prediction.kinecast.experts import TRIVIAL, FeatureScale, Networks, arm_views, forecasts, yaw_frame
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
 from kinecast.prediction.kinecast.objectives import fit_error_model, fit_gate, fit_network
-from kinecast.prediction.kinecast.weights import Gate, rolling_errors
+from kinecast.prediction.kinecast.weights import Gate, OnlineRegression, rolling_errors
 from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Workers, generator
 
@@ -189,14 +189,16 @@ def _followed(
     networks: Networks, gate: Gate | None, windows: TrainingWindows
 ) -> Iterator[tuple[int, MixtureOutput, Float[np.ndarray, "N 6 3"]]]:
     """One recording frame by frame, as online: row, what the mixture says, window."""
-    steps, before = windows.future.shape[1], int(windows.frame[0]) - 1
-    errors = rolling_errors(len(networks), steps)
+    steps, before = windows.future.shape[1], int(windows.frame[0]) - LONGEST_PAUSE - 2
     for row, frame in enumerate(windows.frame.tolist()):
         if row % AT_ONCE == 0:
             made = forecasts(networks, windows.observed[row : row + AT_ONCE], steps)
         if frame - before - 1 > LONGEST_PAUSE:
             errors, before = rolling_errors(len(networks), steps), frame - 1
-        errors.skip(frame - before - 1)
+            regression = OnlineRegression(TRIVIAL + len(networks), steps) if gate is not None else None
+        for part in (errors, regression):
+            if part is not None:
+                part.skip(frame - before - 1)
         window = windows.observed[row]
-        yield row, mix(gate, errors, window, window[-1], made[row % AT_ONCE]), window
+        yield row, mix(gate, errors, regression, window, window[-1], made[row % AT_ONCE]), window
         before = frame

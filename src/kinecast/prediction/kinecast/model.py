@@ -1,7 +1,7 @@
 """`kinecast`: the project's own predictor. Positions are predicted, angles constrained.
 
 Experts, trivial and learned, forecast all steps at once; a gate mixes them by what each one got wrong lately on the
-person in view; where learning does not help, the trivial ones take over (mean). The spread around that mean depends on
+person in view, and a regression learns what that mixture leaves over on them. The spread around that mean depends on
 the window and on how well things went lately. Samples are whole motions drawn from it and held inside joint limits and
 speeds by the exact inverse kinematics.
 """
@@ -25,10 +25,12 @@ from kinecast.prediction.kinecast.experts import TRIVIAL, FeatureScale, Networks
 from kinecast.prediction.kinecast.weights import (
     Gate,
     GateInputs,
+    OnlineRegression,
     RollingForecastErrors,
-    fallback_weights,
+    corrected_share,
     gate_inputs,
     rolling_errors,
+    skill,
 )
 from kinecast.prediction.method import Forecast
 from kinecast.prediction.model_file import ModelCard
@@ -59,7 +61,7 @@ class MixtureOutput:
         inputs: of the gate.
         features: (6, F) of the error model.
         motion: of the window.
-        learned: weight of the learned experts in the mean, averaged over steps and joints.
+        skill: of the mean so far (kinecast.prediction.kinecast.weights.skill).
     """
 
     mean: Motion
@@ -67,40 +69,39 @@ class MixtureOutput:
     inputs: GateInputs
     features: Float[np.ndarray, "6 F"]
     motion: WindowMotion
-    learned: float
+    skill: float
 
 
 def mix(
     gate: Gate | None,
     errors: RollingForecastErrors,
+    regression: OnlineRegression | None,
     window: Float[np.ndarray, "N 6 3"],
     measured: Float[np.ndarray, "6 3"],
     made: Motions,
-    falls_back: bool = True,
 ) -> MixtureOutput:
     """Learns from the newest frame how the experts did, and mixes what they make of it.
 
     Args:
         gate: None while it is being trained; experts then count alike.
         errors: of past forecasts of this person; changed.
+        regression: on this person; changed; None for none.
         window: that ends with the frame, world [m].
         measured: the frame [m], NaN where it was not.
         made: (E, T, 6, 3) forecasts of the experts from it [m].
-        falls_back: whether the trivial experts may take over.
     """
     errors.observe(measured)
     due, motion = errors.mean(), WindowMotion.of(window)
     inputs = gate_inputs(due, motion, made)
     weights = np.full(made.shape[:3], 1.0 / len(made)) if gate is None else gate.weights(inputs, made.shape[1])
-    mean = mixed = (weights[..., None] * made).sum(axis=0)
-    trust = np.ones(6)
-    if falls_back:
-        trust, *others = fallback_weights(due, errors.frames)
-        mean = trust[:, None] * mixed + (np.array(others)[:, None, :, None] * made[:TRIVIAL]).sum(axis=0)
+    mean = corrected = mixed = (weights[..., None] * made).sum(axis=0)
+    if regression is not None:
+        regression.observe(measured)
+        corrected = regression.corrected(mixed, made, window[-1])
+        mean = mixed + corrected_share(due, errors.frames)[:, None] * (corrected - mixed)
     features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
-    errors.predicted(np.concatenate([made, mixed[None], mean[None]]))
-    learned = float((trust * weights[TRIVIAL:].sum(axis=0).mean(axis=0)).mean())
-    return MixtureOutput(mean, made, inputs, features, motion, learned)
+    errors.predicted(np.concatenate([made, mixed[None], corrected[None], mean[None]]))
+    return MixtureOutput(mean, made, inputs, features, motion, skill(due, errors.frames))
 
 
 @dataclass
@@ -109,6 +110,7 @@ class State:
 
     Attributes:
         errors: of past forecasts.
+        regression: of what the mixture leaves over; None for none.
         adaptive: how the spread has had to grow; None where it does not follow the person.
         output: the newest mean; None before the first frame.
         scale: (T, 6) of the newest error, without the adaptive factor.
@@ -118,6 +120,7 @@ class State:
     """
 
     errors: RollingForecastErrors
+    regression: OnlineRegression | None
     adaptive: AdaptiveScale | None
     output: MixtureOutput | None = None
     scale: Float[np.ndarray, "T 6"] | None = None
@@ -137,7 +140,7 @@ class Kinecast:
         frames, steps, dt: N, T, and time between frames [s]; T may be less than the error model's.
         noise: spread of a measured joint about the true one in training [m].
         limits: range and speed of the arm's angles; None for none.
-        falls_back: whether the trivial experts may take over.
+        regresses: whether what the mixture leaves over is learned on the person in view.
         adaptive: whether the spread follows the person in view.
         remembers: whether anything does; without it every window is a stranger's.
     """
@@ -150,14 +153,16 @@ class Kinecast:
     dt: float
     noise: float
     limits: JointLimits | None = field(default_factory=JointLimits)
-    falls_back: bool = True
+    regresses: bool = True
     adaptive: bool = True
     remembers: bool = True
 
     def init_state(self) -> State:
         """See kinecast.prediction.method.Method."""
         adaptive = AdaptiveScale(self.error_model, self.steps, self.dt) if self.adaptive else None
-        return State(rolling_errors(len(self.experts), self.error_model.steps), adaptive)
+        steps, experts = self.error_model.steps, len(self.experts)
+        regression = OnlineRegression(TRIVIAL + experts, steps) if self.regresses else None
+        return State(rolling_errors(experts, steps), regression, adaptive)
 
     def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
         """See kinecast.prediction.method.Method."""
@@ -165,14 +170,14 @@ class Kinecast:
         if not self.remembers or not 0 <= pause <= LONGEST_PAUSE:
             state = self.init_state()
         else:
-            state.errors.skip(pause)
-            if state.adaptive is not None:
-                state.adaptive.skip(pause)
+            for part in (state.errors, state.regression, state.adaptive):
+                if part is not None:
+                    part.skip(pause)
         if state.adaptive is not None:
             state.adaptive.observe(measured)
         window = observation.positions
         made = forecasts(self.experts, window[None], self.error_model.steps)[0]
-        output = mix(self.gate, state.errors, window, measured, made, self.falls_back)
+        output = mix(self.gate, state.errors, state.regression, window, measured, made)
         scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:
             near = output.mean[: self.steps], scale[: self.steps]
@@ -217,7 +222,7 @@ class Kinecast:
             world_mean,
             PoseDensity(observation, mean, blocks, constraint),
             self.limits is not None,
-            {"learned_share": output.learned},
+            {"skill": output.skill},
             {} if goals is None else goals.goals,
         )
 
@@ -284,7 +289,7 @@ def ablations(whole: Kinecast) -> dict[str, Kinecast]:
         "no network": _with_networks(whole, []),
         **own,
         "no gate": replace(whole, gate=None),
-        "no fallback": replace(whole, falls_back=False),
+        "no regression": replace(whole, regresses=False),
         "no memory": replace(whole, remembers=False),
         "no adaptive spread": replace(whole, adaptive=False),
         "no limits, no scene": replace(whole, limits=None),

@@ -1,8 +1,8 @@
 """Who is trusted: weights of the experts, learned in training and moved by each one's errors on the person in view.
 
 Two layers. The gate mixes all experts, its weights a softmax of what each one got wrong lately and of what the window
-looks like. Fallback weights then set that mixture against the trivial experts alone by their long-run errors, steeply:
-on a recording unlike anything trained on, what is simple and right takes over.
+looks like. A regression then learns, on this person alone, what the mixture leaves over: from how the experts differ
+and from the way back to where the person mostly is.
 """
 
 from __future__ import annotations
@@ -22,16 +22,20 @@ from kinecast.prediction.model_file import Arrays
 LEADS, HALF_LIVES = (1, 3, 6, 10, 15), (8.0, 40.0, 200.0, 10.0)
 """Steps ahead at which forecasts are judged, and how long that is remembered [frames]."""
 LONG_RUN = 2
-"""Which of the half-lives the fallback weights go by; the gate goes by it and those before it, the error model by the
+"""Which of the half-lives correction and skill go by; the gate goes by it and those before it, the error model by the
 last."""
-FALLBACK_POWER = 40.0
-"""Weight of a forecaster: its long-run error to minus this power."""
-MIXTURE_CREDIT = 0.98
-"""The mixture is taken for 2 % better than it was: ties go to it."""
-USUAL_ERROR = 0.03
-"""Of every forecaster before anything is known [m]."""
-PRIOR_FRAMES, PRIOR_OTHERS = 8.0, 1.15
-"""Before anything is known, and for as many frames' worth, the trivial experts are taken for 15 % worse."""
+REGRESSED, KEPT = (*LEADS, 30), 1000.0
+"""Steps ahead at which the regression learns, and half-life of what it learned [frames]."""
+PRIOR = 100.0
+"""Precision of the prior that the mixture leaves nothing over, in weighted rows."""
+FINE = (0.01, 0.02)
+"""Errors and motions smaller than this weigh no more [m]."""
+HOMEWARD = 15.0
+"""The way home is walked evenly over so many steps."""
+POWER = 40.0
+"""How steeply the mixture and its correction are weighed by their long-run errors."""
+DOUBT, DOUBT_FRAMES = 1.05, 30.0
+"""For so many frames' worth the correction is taken to err 5 % more than the mixture."""
 
 JOINT_TYPE = np.array([0, 1, 2, 0, 1, 2])
 """Shoulder, elbow, wrist: left and right share what is learned."""
@@ -88,8 +92,8 @@ class RollingForecastErrors:
 
 
 def rolling_errors(experts: int, steps: int) -> RollingForecastErrors:
-    """Nothing remembered yet: of the experts, `experts` learned ones among them, of their mixture, of the mean."""
-    return RollingForecastErrors(TRIVIAL + experts + 2, tuple(min(lead, steps) for lead in LEADS), HALF_LIVES)
+    """Nothing remembered yet: of the experts, `experts` learned ones among them, of mixture, correction and mean."""
+    return RollingForecastErrors(TRIVIAL + experts + 3, tuple(min(lead, steps) for lead in LEADS), HALF_LIVES)
 
 
 @dataclass(frozen=True)
@@ -147,19 +151,94 @@ class Gate(Arrays):
         return weights / weights.sum(axis=0)
 
 
-def fallback_weights(due: Float[np.ndarray, "E2 6 L H"], frames: int) -> Float[np.ndarray, "F 6"]:
-    """(1 + TRIVIAL, 6) weights, per joint, of the mixture (first) and the trivial experts, from their long-run errors.
+class OnlineRegression:
+    """The mixture's error, regressed on this person's past.
+
+    error ≈ Σ coefficient · (expert − mixture) + coefficient · (home − last pose), home being where a joint mostly is: a
+    ridge regression, each lead for itself and all joints alike, by recursive least squares with forgetting. Rows weigh
+    one over their error and their motion: it is distances that get small, as they are scored, not squares.
+
+    Args:
+        experts: E, how many forecast.
+        steps: T.
+    """
+
+    def __init__(self, experts: int, steps: int) -> None:
+        self._leads = tuple(sorted({min(lead, steps) for lead in REGRESSED}))
+        self._decay = 0.5 ** (1.0 / KEPT)
+        self._gram = np.zeros((len(self._leads), experts + 1, experts + 1))
+        self._moment = np.zeros((len(self._leads), experts + 1, 1))
+        self._past: deque[tuple[np.ndarray, ...] | None] = deque([None] * steps, maxlen=steps)
+        self._home, self._known = np.zeros((6, 3)), 0.0
+
+    def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
+        """Learns from what was predicted for this frame; NaN joints teach nothing. Call once a frame, first."""
+        due = [(k, self._past[-lead]) for k, lead in enumerate(self._leads)]
+        known = [(k, *(part[k] for part in made)) for k, made in due if made is not None]
+        if not known or not np.isfinite(pose).all():
+            return
+        rows, mixed, moved, regressors = map(np.array, zip(*known, strict=True))
+        error = pose - mixed
+        weight = 1.0 / ((lengths(error) + FINE[0]) * (moved + FINE[1]))
+        weighted = regressors.transpose(0, 2, 1) * np.repeat(weight, 3, axis=1)[:, None]
+        self._gram[rows] = self._decay * self._gram[rows] + weighted @ regressors
+        self._moment[rows] = self._decay * self._moment[rows] + weighted @ error.reshape(len(rows), 18, 1)
+
+    def corrected(
+        self, mixed: Float[np.ndarray, "T 6 3"], forecasts: Float[np.ndarray, "E T 6 3"], last: Float[np.ndarray, "6 3"]
+    ) -> Float[np.ndarray, "T 6 3"]:
+        """The mixture [m] and what it is expected to leave over; kept, to learn from once the time has come."""
+        steps, experts = len(mixed), len(forecasts)
+        self._known = self._known * 0.5 ** (1.0 / HALF_LIVES[LONG_RUN]) + 1.0
+        self._home = self._home + (last - self._home) / self._known
+        regressors = np.empty((steps, 18, experts + 1))
+        regressors[..., :-1] = (forecasts - mixed).reshape(experts, steps, 18).transpose(1, 2, 0)
+        homeward = np.minimum(np.arange(1.0, steps + 1) / HOMEWARD, 1.0)
+        regressors[..., -1] = homeward[:, None] * (self._home - last).ravel()
+        at = np.array(self._leads) - 1
+        self._past.append((mixed[at], lengths(mixed[at] - last), regressors[at]))
+        learned = np.linalg.solve(self._gram + PRIOR * np.eye(experts + 1), self._moment)[..., 0]
+        return mixed + (regressors @ (_between(self._leads, steps) @ learned)[..., None]).reshape(steps, 6, 3)
+
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        self._past.extend([None] * frames)
+
+
+@cache
+def _between(leads: tuple[int, ...], steps: int) -> Float[np.ndarray, "T L"]:
+    """(T, L) what counts of each lead at each step: linear between two, the last one's beyond it."""
+    return np.stack([np.interp(np.arange(1, steps + 1), leads, each) for each in np.eye(len(leads))], axis=1)
+
+
+def corrected_share(due: Float[np.ndarray, "E3 6 L H"], frames: int) -> Float[np.ndarray, "6"]:
+    """(6,) how much of its correction the mixture takes, joint by joint, by what both got wrong in the long run.
 
     `due` are the rolling errors [m], NaN for leads that have not come due, `frames` how many were seen.
     """
-    long_run = np.concatenate([due[-2:-1], due[:TRIVIAL]])[..., LONG_RUN]
-    known = np.isfinite(long_run).all(axis=(0, 1))
-    errors = np.where(known, long_run, 0.0).sum(axis=-1) / max(int(known.sum()), 1)
-    age = min(float(frames), HALF_LIVES[LONG_RUN] / np.log(2.0)) if known.any() else 0.0
-    level = np.maximum(errors[:1], 1e-4) if known.any() else np.full_like(errors[:1], USUAL_ERROR)
-    expected = level * np.where(np.arange(len(errors)) == 0, MIXTURE_CREDIT, PRIOR_OTHERS)[:, None]
-    errors = (errors * age + PRIOR_FRAMES * expected) / (age + PRIOR_FRAMES)
-    errors[0] *= MIXTURE_CREDIT
-    logits = -FALLBACK_POWER * np.log(errors + 3e-4)
-    weights = np.exp(logits - logits.max(axis=0))
-    return weights / weights.sum(axis=0)
+    mixture, correction = _long_run(due[-3:-1])
+    age = _age(frames) if np.isfinite(mixture).all() else 0.0
+    ratio = np.where(age > 0.0, (correction + 1e-4) / (mixture + 1e-4), 1.0)
+    return 1.0 / (1.0 + ((age * ratio + DOUBT_FRAMES * DOUBT) / (age + DOUBT_FRAMES)) ** POWER)
+
+
+def skill(due: Float[np.ndarray, "E3 6 L H"], frames: int) -> float:
+    """Skill score of the mean in the long run: 1 − its error over the best trivial expert's; 0 for a stranger.
+
+    `due` and `frames` as for `corrected_share`.
+    """
+    mean, *trivial = (_long_run(np.concatenate([due[-1:], due[:TRIVIAL]])).mean(axis=1) + 1e-4).tolist()
+    age = _age(frames)
+    return age / (age + DOUBT_FRAMES) * (1.0 - mean / min(trivial)) if math.isfinite(mean) else 0.0
+
+
+def _long_run(due: Float[np.ndarray, "F 6 L H"]) -> Float[np.ndarray, "F 6"]:
+    """(F, 6) mean over the leads that have come due [m]; NaN where none has."""
+    errors = due[..., LONG_RUN]
+    known = np.isfinite(errors).all(axis=(0, 1))
+    return errors[..., known].sum(axis=-1) / known.sum() if known.any() else np.full(errors.shape[:2], np.nan)
+
+
+def _age(frames: int) -> float:
+    """How many frames the long run remembers."""
+    return min(float(frames), HALF_LIVES[LONG_RUN] / math.log(2.0))
