@@ -29,7 +29,7 @@ class Status(Enum):
     JUMP = "A joint moved faster than a person can: the tracker has probably slipped."
     IMPLAUSIBLE = "The skeleton is not a person's (bone lengths): check units and tracking."
     BLOCKED = "No sample satisfies the scene: check the scene's frame and the person's calibration."
-    UNFAMILIAR = "This motion is far from the training data: the trivial predictors have taken over."
+    UNFAMILIAR = "Nobody in training moved like this: a trivial predictor has done clearly better so far."
     FAULT = "The prediction failed: treat everything the person can reach as occupied."
 
     @property

@@ -1,7 +1,7 @@
 """What the simulated arm decides beside a person, episode by episode, and what it decided when it was recorded.
 
-python tests/accuracy/episodes.py           every episode anew, compared with episodes.json
-python tests/accuracy/episodes.py --record  writes episodes.json
+python -m tests.accuracy.episodes           every episode anew, compared with episodes.json
+python -m tests.accuracy.episodes --record  writes episodes.json
 
 An episode is one scenario of `kinecast simulate` with one seed, of person and camera. The predictor draws random
 numbers of its own, which the seed does not change; another count of samples makes it draw others. What is recorded is
@@ -151,7 +151,7 @@ def record(path: Path = RECORDED) -> None:
 def write(path: Path, stated: Mapping[str, Any], episodes: Mapping[str, Any]) -> None:
     """Writes episodes.json, a line for each value."""
     content: dict[str, Any] = {
-        "about": "Written by `python tests/accuracy/episodes.py --record`. Each list of reactions, targets, placed and "
+        "about": "Written by `python -m tests.accuracy.episodes --record`. Each list of reactions, targets, placed and "
         "result holds every different one that was seen with one of the counts of samples in `samples`; an episode "
         "is right if it has any of them. done: time to done with each [s]; allowed is that span and `tolerance` "
         f"around it, at least {LEAST} s, or {SPREADS:g} times `spread`, the standard deviation between counts of "

@@ -1,8 +1,8 @@
 """Scores of every method on fixed windows of every data set, and what they were when they were recorded.
 
-python tests/accuracy/score.py            every score anew, compared with recorded.json
-python tests/accuracy/score.py --record   writes recorded.json
-python tests/accuracy/score.py --seed 7   with other random numbers
+python -m tests.accuracy.score            every score anew, compared with recorded.json
+python -m tests.accuracy.score --record   writes recorded.json
+python -m tests.accuracy.score --seed 7   with other random numbers
 
 Everything goes through the command `kinecast evaluate` and the metrics.json it writes. Recordings are found in
 $KINECAST_DATA, else in ../shared/data beside the checkout; without them the generated people alone are scored.
@@ -368,7 +368,7 @@ def _spreads(values: Mapping[Key, Sequence[float]], windows: Mapping[str, int]) 
 def write(path: Path, entries: Mapping[str, Any], people: str) -> None:
     """Writes recorded.json, a line for each score."""
     content = {
-        "about": "Written by `python tests/accuracy/score.py --record`. value: mean over the runs with `seeds`; "
+        "about": "Written by `python -m tests.accuracy.score --record`. value: mean over the runs with `seeds`; "
         "spread: standard deviation between them, of the score itself or, where that is larger, the usual one of that "
         "score and method over all sets (relative to the score if that is in mm). Where random numbers alone move a "
         f"score by more than `tolerances` allow, it has a tolerance of its own: {SPREADS:g} times the spread. mm, nats "

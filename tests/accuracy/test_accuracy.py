@@ -1,7 +1,7 @@
 """Every method predicts as well as it did when recorded.json was written; comparing finds a model that does not.
 
 A figure that is out of tolerance means that a change was not one of form alone. Where the change is wanted, record
-anew: `python tests/accuracy/score.py --record`.
+anew: `python -m tests.accuracy.score --record`.
 """
 
 from __future__ import annotations

@@ -300,7 +300,7 @@ class TestEvaluate:
         methods = scores(tmp_path / "whole")["methods"]
         assert list(methods)[-1] == "kinecast"
         errors = {name.removeprefix("kinecast, "): each["mpjpe_mm"] for name, each in methods.items()}
-        assert {"no gate", "no fallback", "no memory", "no network", "no adaptive spread"} < set(errors)
+        assert {"no gate", "no regression", "no memory", "no network", "no adaptive spread"} < set(errors)
         assert all(errors[name] != errors["kinecast"] for name in ("no gate", "no memory", "no network"))
         assert methods["kinecast, no limits, no scene"]["mpjpe_mm"] == methods["kinecast"]["mpjpe_mm"]
         nothing = kinecast("evaluate", "--model", model, "--out", tmp_path / "none", *options)

@@ -78,6 +78,21 @@ def test_it_warms_up_and_then_predicts(predictor: Predictor) -> None:
     assert np.isfinite(prediction.log_prob(prediction.mean)).all()
 
 
+@pytest.mark.parametrize(("skill", "moves", "status"), [
+    (-0.3, True, Status.UNFAMILIAR), (-0.3, False, Status.OK), (0.0, True, Status.OK),
+])  # fmt: skip
+def test_it_says_where_a_trivial_predictor_does_better(
+    still: Predictor, monkeypatch: pytest.MonkeyPatch, skill: float, moves: bool, status: Status
+) -> None:
+    forecast = kinecast.predictor.forecast_in_scene
+    monkeypatch.setattr(
+        kinecast.predictor, "forecast_in_scene", lambda *of: replace(forecast(*of), diagnostics={"skill": skill})
+    )
+    for k in range(8):
+        prediction = still.observe(frame(k * DT, swinging(k * DT) if moves else REST))
+    assert prediction.status is status
+
+
 def test_while_warming_up_everything_in_reach_counts(predictor: Predictor) -> None:
     prediction = predictor.observe(frame(0.0))
     distances = np.linalg.norm(prediction.samples - REST, axis=-1)
