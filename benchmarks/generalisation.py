@@ -8,7 +8,7 @@ others, those in `ONLY_TESTED` by models trained on all that may train, each Vic
 V002 by V001. Everything is at 30 Hz, 6 frames seen, 0.5 s ahead; methods follow every frame. --models: `kinecast` is
 read from NAME.npz there, NAME being `all`, `without_SET`, `without_TASK` or `HA4M_V001`, and trained where there is no
 such file. --old: one more model, whatever it was trained on. Results are added to the JSON file method by method, so
-that a run can be continued. --table prints what the file holds, for docs/results.md, and runs nothing.
+that a run can be continued. --table prints what the file holds, for docs/generalisation.md, and runs nothing.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class Rig:
 
     @classmethod
     def load(cls, path: str | Path) -> Rig:
-        """Reads a rig file (docs/cameras.md); a DatasetError names file, entry, what was found and what is allowed."""
+        """Reads a rig file (docs/rig.md); a DatasetError names file, entry, what was found and what is allowed."""
         return cls.from_yaml(read_text(Path(path)), path)
 
     @classmethod

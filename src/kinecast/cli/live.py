@@ -74,7 +74,7 @@ def live(
         record: a video of the camera's picture with what is predicted drawn in it.
         model: a model file, or MODULE:FUNCTION that gives your own method (docs/predictor.md).
         scene: obstacles and goals, a YAML file.
-        rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/cameras.md).
+        rig: cameras at their places, as kinecast calibrate writes it: what they see is fused (docs/rig.md).
         horizon: how far to predict; a second of the shipped model takes twice the time, and tubes grow large in it.
         samples: motions drawn per prediction.
         level: probability that each tube holds.

@@ -64,7 +64,7 @@ def simulate(
     """Simulates a UR5 that picks and places a red, a green and a blue cube at a table shared with a person.
 
     Args:
-        cell: constants of the camera and of monitoring, and where things stand (docs/robot.md).
+        cell: constants of the camera and of monitoring, and where things stand (docs/cell.md).
         seed: of the person and the camera; the same seed gives the same episode.
         samples: motions drawn per prediction.
         view: shows the cell in the browser until Ctrl-C; writes files only with --out.
