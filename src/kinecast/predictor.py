@@ -114,6 +114,7 @@ class Predictor:
             # The loop of a robot must go on whatever happens here; the status makes it stop or slow down.
             log.exception("prediction failed for person %r at %r", frame.person, frame.stamp)
             prediction = self._fault(frame)
+            self._forget(frame)
         milliseconds = 1e3 * (time.perf_counter() - started)
         return replace(prediction, diagnostics={**prediction.diagnostics, "milliseconds": milliseconds})
 
@@ -130,6 +131,7 @@ class Predictor:
         forecast = forecast_in_scene(self.method, track.state, observation, track.rng, samples, self.scene)
         covariance = joint_covariances(forecast.samples)
         if not np.isfinite(covariance).all():  # a sample that is not finite makes it so
+            self._forget(frame)
             return self._fault(frame)
         times = observation.times(self.method.steps)
         ahead = _ahead(times, now)
@@ -174,6 +176,11 @@ class Predictor:
         if observation.stamp >= track.state_stamp + 0.9 * self.method.dt:
             track.state = self.method.update(track.state, observation, track.arms[-1])
             track.state_stamp = observation.stamp
+
+    def _forget(self, frame: SkeletonFrame) -> None:
+        """The method remembers nothing of this person any more: what it learned may be why it failed."""
+        if frame.person in self._tracks:
+            self._tracks[frame.person].state_stamp = -np.inf
 
     def _track(self, frame: SkeletonFrame) -> Track:
         """This person's track; persons long unseen, and the longest unseen of too many, are forgotten."""

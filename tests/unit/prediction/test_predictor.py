@@ -303,6 +303,15 @@ def test_broken_frames_are_faults_and_nothing_more(
     assert predictor.observe(frame(9 * DT, swinging(9 * DT))).status in (Status.OK, Status.GAP)
 
 
+def test_nothing_of_impossible_frames_is_remembered() -> None:
+    shipped = Predictor.shipped(options=OPTIONS)
+    for k in range(60):
+        pose = swinging(k * DT)
+        prediction = shipped.observe(frame(k * DT, 1e200 * pose if 20 <= k < 30 else pose))
+    assert prediction.status is Status.OK
+    assert np.isfinite(prediction.samples).all()
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1e3, 1e200])
 def test_impossible_sizes_are_said_or_faults(predictor: Predictor, scale: float) -> None:
     for k in range(8):
