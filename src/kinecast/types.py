@@ -15,6 +15,8 @@ from kinecast.errors import OptionError
 
 LIMBS = ((0, 1), (1, 2), (3, 4), (4, 5))
 """Limbs as (start, end) columns of the six arm joints: left upper arm, left forearm, right upper arm, right forearm."""
+TAIL = 0.95
+"""Tubes of a higher level are reckoned from the samples beyond it."""
 
 
 class Status(Enum):
@@ -130,10 +132,12 @@ class Prediction:
         return (unknown | (obstacle.segment_distance(start, end) <= radius)).any(axis=-1).mean(axis=0)
 
     def tubes(self, level: float = 0.95) -> Tubes:
-        """Capsules per step and limb which each hold the given share of the samples.
+        """Capsules per step and limb which each hold the limb with the given probability.
 
-        A sample's limb lies inside as soon as both its ends lie within the radius of the mean limb's
-        ends, since a capsule is convex; the radius is that distance's quantile.
+        A sample's limb lies inside as soon as both its ends lie within the radius of the mean limb's ends, since a
+        capsule is convex; the radius is that distance's quantile. Beyond `TAIL` it goes on as an exponential
+        distribution of the samples that lie there (peaks over a threshold; Pickands 1975): of some hundred samples none
+        tells where one in a thousand is. Level 1 holds every sample.
 
         Raises:
             OptionError: level outside (0, 1].
@@ -144,8 +148,12 @@ class Prediction:
         away = _squared_distances(self.samples, centre)
         start, end = np.array(LIMBS).T
         reach = np.maximum(away[:, start], away[:, end])
-        last = int(np.ceil(level * (len(self.samples) - 1)))
-        radius = np.sqrt(np.partition(reach, last, axis=-1)[..., last])  # of a NaN all are NaN, since the centre is
+        held = level if level == 1 else min(level, TAIL)
+        last = int(np.ceil(held * (len(self.samples) - 1)))
+        farther = np.sqrt(np.partition(reach, last, axis=-1)[..., last:])  # of a NaN all are NaN, since the centre is
+        radius = farther[..., 0]
+        if held < level:
+            radius = radius + (farther.mean(axis=-1) - radius) * np.log((1.0 - held) / (1.0 - level))
         return Tubes(self.times, *_limbs(centre), radius, level)
 
 

@@ -54,6 +54,20 @@ def test_tubes_are_no_wider_than_they_must_be(prediction: Prediction) -> None:
     assert (np.diff([prediction.tubes(level).radius for level in (0.5, 0.8, 0.99)], axis=0) > 0).all()
 
 
+def test_rare_distances_are_told_from_few_samples() -> None:
+    rng = np.random.default_rng(2)
+
+    def drawn(samples: int) -> Prediction:
+        wide = rng.choice([0.3, 1.0, 2.0], (samples, 1, 1, 1), p=[0.4, 0.4, 0.2])
+        return predicted(0.05 * wide * rng.standard_normal((samples, T, 6, 3)))
+
+    away = np.linalg.norm(drawn(100_000).samples[:, 0, :2], axis=-1).max(axis=-1)
+    few = [drawn(300) for _ in range(40)]
+    for level in (0.99, 0.999):
+        radii = np.array([each.tubes(level).radius for each in few])
+        assert np.exp(np.log(radii).mean()) == pytest.approx(np.quantile(away, level), rel=0.06)
+
+
 @pytest.mark.parametrize("level", [0.0, -0.1, 1.01, math.nan])
 def test_levels_out_of_range(prediction: Prediction, level: float) -> None:
     with pytest.raises(OptionError, match="level"):
