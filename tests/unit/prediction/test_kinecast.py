@@ -22,9 +22,11 @@ from kinecast.prediction.kinecast.error_model import (
 )
 from kinecast.prediction.kinecast.experts import (
     DAMPED,
+    NEWEST,
     TRIVIAL,
     FeatureScale,
     Networks,
+    PersonView,
     arm_views,
     forecasts,
     time_basis,
@@ -133,8 +135,10 @@ class TestForecast:
 
     def test_left_and_right_are_the_same_in_a_mirror(self, method: Kinecast, observation: Observation) -> None:
         swapped = observation.positions[:, SWAP] * MIRROR
-        one = forecasts(method.experts, observation.positions[None], method.steps)[0]
-        other = forecasts(method.experts, swapped[None], method.steps)[0]
+        one = forecasts(
+            method.experts, observation.positions[None], arm_views(observation.positions[None]), method.steps
+        )[0]
+        other = forecasts(method.experts, swapped[None], arm_views(swapped[None]), method.steps)[0]
         np.testing.assert_allclose(other, one[:, :, SWAP] * MIRROR, atol=1e-9)
 
     def test_a_shorter_horizon_says_the_same_of_what_is_left(self, method: Kinecast, observation: Observation) -> None:
@@ -289,23 +293,25 @@ class TestFeatures:
 class TestExperts:
     def test_they_learn_that_straight_motion_goes_on(self, learned: Networks) -> None:
         observed, future = lines(5, 60)
-        made = forecasts(learned, observed, 3)
+        made = forecasts(learned, observed, arm_views(observed), 3)
         error = np.linalg.norm(made - future[:, None], axis=-1).mean(axis=(0, 2, 3))
         assert (error[TRIVIAL:] < 0.2 * error[0]).all()  # the first of the trivial ones stands still
 
     def test_each_gives_alone_what_it_gives_beside_others(self, learned: Networks) -> None:
         observed, _ = lines(6, 5)
-        both = forecasts(learned, observed, 3)
+        both = forecasts(learned, observed, arm_views(observed), 3)
         for k in range(2):
-            alone = forecasts(learned.take([k]), observed, 3)
+            alone = forecasts(learned.take([k]), observed, arm_views(observed), 3)
             np.testing.assert_allclose(alone[:, TRIVIAL], both[:, TRIVIAL + k], atol=1e-12)
-        assert forecasts(learned.take([]), observed, 3).shape[1] == TRIVIAL
+        assert forecasts(learned.take([]), observed, arm_views(observed), 3).shape[1] == TRIVIAL
 
     def test_they_come_back_from_their_arrays(self, learned: Networks) -> None:
         observed, _ = lines(6, 5)
         arrays = learned.to_arrays()
         again = restored(arrays)
-        np.testing.assert_array_equal(forecasts(again, observed, 3), forecasts(learned, observed, 3))
+        np.testing.assert_array_equal(
+            forecasts(again, observed, arm_views(observed), 3), forecasts(learned, observed, arm_views(observed), 3)
+        )
         del arrays["scale.pose_mean"]
         with pytest.raises(ModelError, match=r"scale\.pose_mean"):
             restored(arrays)
@@ -397,6 +403,10 @@ class TestErrorModel:
         np.testing.assert_allclose(z.std(axis=0), 1.0, atol=5 / np.sqrt(2 * 3000))
 
 
+BLIND = PersonView(np.zeros((2, NEWEST + 1)), np.full(2, 0.02), np.eye(3))
+SEEING = PersonView(np.ones((2, NEWEST + 1)), np.full(2, 0.02), np.eye(3))
+
+
 class TestParts:
     def test_trivial_experts_follow_a_straight_line(self) -> None:
         weights = trivial_experts(6, 15)
@@ -466,9 +476,10 @@ class TestParts:
                 to_come = pose[k + 1 : k + 1 + steps]
                 second = to_come + (1.0 - share) * np.array([0.1, 0.0, 0.0])
                 mixed = second - np.array([0.1, 0.0, 0.0])
-                corrected = regression.corrected(mixed, np.stack([mixed, second]), pose[k])
+                corrected = regression.by_experts(mixed, np.stack([mixed, second]), pose[k])
+                regression.by_window(mixed, BLIND, pose[k])
                 errors.append(np.abs(corrected - to_come).max())
-            assert max(errors[:1]) == pytest.approx(0.1 * share)
+            assert errors[0] == pytest.approx(0.1 * share)
             assert max(errors[-50:]) < 0.02
 
     def test_a_regression_learns_that_somebody_goes_home(self) -> None:
@@ -479,31 +490,57 @@ class TestParts:
         for k in range(len(pose) - steps):
             regression.observe(pose[k])
             mixed = np.repeat(pose[k][None], steps, axis=0)
-            corrected = regression.corrected(mixed, mixed[None], pose[k])
+            corrected = regression.by_experts(mixed, mixed[None], pose[k])
+            regression.by_window(mixed, BLIND, pose[k])
             if k > 1000:
                 stays += np.linalg.norm(pose[k + steps] - pose[k], axis=1).mean()
                 goes += np.linalg.norm(pose[k + steps] - corrected[-1], axis=1).mean()
         best = np.sqrt((1.0 - 0.9**12) / (2.0 * (1.0 - 0.9**6)))  # of forecasts that know all that
         assert goes / stays == pytest.approx(best, abs=0.02)
 
+    def test_a_regression_learns_what_a_person_makes_of_a_window(self) -> None:
+        steps, regression, rng = 3, OnlineRegression(1, 3), np.random.default_rng(0)
+        habit = rng.normal(0.0, 0.3, (NEWEST + 1, 9))
+        turn = yaw_frame(np.array([[0.3, 0.4, 0]] + [[0, 0, 0]] * 5))
+        left, pose = [], rng.normal(0.0, 0.01, (1000, 6, 3))
+        for k in range(900):
+            regression.observe(pose[k])
+            view = PersonView(rng.standard_normal((2, NEWEST + 1)), rng.uniform(0.1, 0.3, 2), turn)
+            mean = pose[k + 1 : k + 1 + steps] - view.to_world(np.repeat((view.features @ habit)[None], steps, axis=0))
+            regression.by_experts(mean, mean[None], mean[0])
+            corrected = regression.by_window(mean, view, mean[0])
+            left.append(np.abs(corrected - pose[k + 1 : k + 1 + steps]).max())
+        assert np.mean(left[-100:]) < 0.3 * np.mean(left[:20])
+
+    def test_a_persons_view_turns_errors_to_arms_and_back(self) -> None:
+        rng = np.random.default_rng(1)
+        view = PersonView(np.zeros((2, NEWEST + 1)), np.array([0.01, 0.02]), yaw_frame(rng.standard_normal((6, 3))))
+        errors = rng.standard_normal((4, 6, 3))
+        np.testing.assert_allclose(view.to_world(view.to_arms(errors)), errors, atol=1e-12)
+        alike = np.repeat(rng.standard_normal((1, 1, 9)), 2, axis=1)  # both arms alike: each to its own side
+        both = view.to_world(alike / view.amplitude[:, None]) @ view.rotation
+        np.testing.assert_allclose(both[:, 3:], both[:, :3] * MIRROR, atol=1e-12)
+
     def test_a_regression_learns_nothing_from_frames_that_were_not_seen_or_not_shown(self) -> None:
         def after(pose: np.ndarray, skipped: int) -> np.ndarray:
-            regression = OnlineRegression(2, 3)
+            regression, last = OnlineRegression(2, 3), np.zeros((6, 3))
             mixed, made = np.zeros((3, 6, 3)), np.stack([np.zeros((3, 6, 3)), np.ones((3, 6, 3))])
             for _ in range(50):
-                regression.corrected(mixed, made, np.zeros((6, 3)))
+                regression.by_experts(mixed, made, last)
+                regression.by_window(mixed, SEEING, last)
                 regression.skip(skipped)
                 regression.observe(pose)
-            return regression.corrected(mixed, made, np.zeros((6, 3)))
+            corrected = regression.by_experts(mixed, made, last)
+            return np.stack([corrected, regression.by_window(mixed, SEEING, last)])
 
-        assert np.abs(after(np.ones((6, 3)), 0)).min() > 0.3
+        assert after(np.ones((6, 3)), 0)[..., 0].min() > 0.1
         np.testing.assert_array_equal(after(np.full((6, 3), np.nan), 0), 0.0)
         np.testing.assert_array_equal(after(np.ones((6, 3)), 3), 0.0)
 
     @pytest.mark.parametrize("better", [0, 1])
-    def test_the_mixture_takes_its_correction_where_that_errs_less(self, better: int) -> None:
-        due = np.full((TRIVIAL + 3, 6, len(LEADS), len(HALF_LIVES)), 0.03)
-        due[-3 + better, ..., LONG_RUN] = 0.02
+    def test_a_correction_is_taken_where_it_errs_less(self, better: int) -> None:
+        due = np.full((2, 6, len(LEADS), len(HALF_LIVES)), 0.03)
+        due[better, ..., LONG_RUN] = 0.02
         np.testing.assert_allclose(corrected_share(due, 500), better, atol=0.05)
         assert (corrected_share(due * np.nan, 0) < 0.5).all()
 

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,10 @@ LEAST_STEP = 0.004
 DAMPED = ((0, 1.0), (2, 16.0), (2, np.inf), (1, 4.0), (3, 12.0), (2, 6.0))
 """Trivial experts: degree of the polynomial whose slope is the velocity (0: none), and time constant [frames]."""
 TRIVIAL = len(DAMPED)
+NEWEST = 2 * 18 + 18 + 2
+"""The last features of a view: its last two steps, pose and levels."""
+OWN_SIDE = np.stack([np.ones((1, 3)), MIRROR[None]])
+"""(2, 1, 3) what turns each arm's vectors to its own side: the right arm is mirrored."""
 
 
 @cache
@@ -93,6 +98,40 @@ def arm_views(windows: Float[np.ndarray, "W N 6 3"]) -> ArmViews:
     jitter = np.sqrt((jerk**2).sum(axis=(1, 2)) / jerk.shape[1] + 1e-8)
     level = np.log(np.stack([amplitude, jitter / amplitude], axis=1))
     return ArmViews((steps / amplitude[:, None, None]).reshape(len(own), -1), pose, level, amplitude, rotation, last)
+
+
+class PersonView(NamedTuple):
+    """What a regression on one person sees of a window, or of several.
+
+    Attributes:
+        features: (*K, 2, NEWEST + 1) the end of each arm's features, and 1.
+        amplitude: (*K, 2) root mean square step of the window, as each arm has it [m per frame].
+        rotation: (*K, 3, 3) yaw frame of the last pose.
+    """
+
+    features: Float[np.ndarray, "*K 2 F"]
+    amplitude: Float[np.ndarray, "*K 2"]
+    rotation: Float[np.ndarray, "*K 3 3"]
+
+    def to_arms(self, errors: Float[np.ndarray, "K 6 3"]) -> Float[np.ndarray, "K 2 9"]:
+        """Errors in the world [m] arm by arm, from its own side, over the amplitude."""
+        own = (errors @ self.rotation).reshape(-1, 2, 3, 3) * OWN_SIDE
+        return own.reshape(-1, 2, 9) / self.amplitude[..., None]
+
+    def to_world(self, own: Float[np.ndarray, "K 2 9"]) -> Float[np.ndarray, "K 6 3"]:
+        """The inverse of `to_arms`."""
+        errors = (own * self.amplitude[..., None]).reshape(-1, 2, 3, 3) * OWN_SIDE
+        return errors.reshape(-1, 6, 3) @ self.rotation.swapaxes(-1, -2)
+
+
+def person_views(scale: FeatureScale, views: ArmViews) -> list[PersonView]:
+    """One for each window."""
+    features = scale.features(views)[:, -NEWEST:]
+    features = np.concatenate([features, np.ones((len(features), 1))], axis=1)
+    sides = (
+        each.reshape(2, len(views.rotation), *each.shape[1:]).swapaxes(0, 1) for each in (features, views.amplitude)
+    )
+    return list(map(PersonView, *sides, views.rotation))
 
 
 @dataclass(frozen=True)
@@ -172,12 +211,13 @@ def trivial_experts(frames: int, steps: int) -> Float[np.ndarray, "E T N"]:
     return np.stack([damped(v, tau, steps).weights for v, tau in zip(velocities, taus, strict=True)])
 
 
-def forecasts(experts: Networks, windows: Float[np.ndarray, "W N 6 3"], steps: int) -> Float[np.ndarray, "W E T 6 3"]:
-    """What every expert forecasts, trivial ones first, world [m]."""
+def forecasts(
+    experts: Networks, windows: Float[np.ndarray, "W N 6 3"], views: ArmViews, steps: int
+) -> Float[np.ndarray, "W E T 6 3"]:
+    """What every expert forecasts from windows and their views, trivial ones first, world [m]."""
     trivial = np.tensordot(trivial_experts(windows.shape[1], steps), windows, axes=(2, 1)).transpose(2, 0, 1, 3, 4)
     if not len(experts):
         return trivial
-    views = arm_views(windows)
     coefficients = experts.coefficients(experts.scale.features(views))
     coefficients = coefficients.reshape(*coefficients.shape[:2], -1, 9)
     displacement = time_basis(steps, coefficients.shape[2]) @ coefficients

@@ -12,7 +12,15 @@ from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel
-from kinecast.prediction.kinecast.experts import TRIVIAL, FeatureScale, Networks, arm_views, forecasts, yaw_frame
+from kinecast.prediction.kinecast.experts import (
+    TRIVIAL,
+    FeatureScale,
+    Networks,
+    arm_views,
+    forecasts,
+    person_views,
+    yaw_frame,
+)
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
 from kinecast.prediction.kinecast.objectives import fit_error_model, fit_gate, fit_network
 from kinecast.prediction.kinecast.weights import Gate, OnlineRegression, rolling_errors
@@ -192,7 +200,9 @@ def _followed(
     steps, before = windows.future.shape[1], int(windows.frame[0]) - LONGEST_PAUSE - 2
     for row, frame in enumerate(windows.frame.tolist()):
         if row % AT_ONCE == 0:
-            made = forecasts(networks, windows.observed[row : row + AT_ONCE], steps)
+            block = windows.observed[row : row + AT_ONCE]
+            views = arm_views(block)
+            made, seen = forecasts(networks, block, views, steps), person_views(networks.scale, views)
         if frame - before - 1 > LONGEST_PAUSE:
             errors, before = rolling_errors(len(networks), steps), frame - 1
             regression = OnlineRegression(TRIVIAL + len(networks), steps) if gate is not None else None
@@ -200,5 +210,6 @@ def _followed(
             if part is not None:
                 part.skip(frame - before - 1)
         window = windows.observed[row]
-        yield row, mix(gate, errors, regression, window, window[-1], made[row % AT_ONCE]), window
+        at = row % AT_ONCE
+        yield row, mix(gate, errors, regression, window, window[-1], made[at], seen[at]), window
         before = frame

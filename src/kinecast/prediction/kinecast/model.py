@@ -21,7 +21,17 @@ from kinecast.body.limits import JointLimits
 from kinecast.prediction.density import Blocks, ConstraintFactor, GaussianMixture, PoseDensity
 from kinecast.prediction.goals import PATH, WRISTS, GoalMixture, goal_mixture
 from kinecast.prediction.kinecast.error_model import SCALES, AdaptiveScale, ErrorModel, error_features
-from kinecast.prediction.kinecast.experts import TRIVIAL, FeatureScale, Networks, WindowMotion, forecasts, yaw_frame
+from kinecast.prediction.kinecast.experts import (
+    TRIVIAL,
+    FeatureScale,
+    Networks,
+    PersonView,
+    WindowMotion,
+    arm_views,
+    forecasts,
+    person_views,
+    yaw_frame,
+)
 from kinecast.prediction.kinecast.weights import (
     Gate,
     GateInputs,
@@ -79,6 +89,7 @@ def mix(
     window: Float[np.ndarray, "N 6 3"],
     measured: Float[np.ndarray, "6 3"],
     made: Motions,
+    view: PersonView,
 ) -> MixtureOutput:
     """Learns from the newest frame how the experts did, and mixes what they make of it.
 
@@ -89,18 +100,24 @@ def mix(
         window: that ends with the frame, world [m].
         measured: the frame [m], NaN where it was not.
         made: (E, T, 6, 3) forecasts of the experts from it [m].
+        view: of the window.
     """
     errors.observe(measured)
     due, motion = errors.mean(), WindowMotion.of(window)
     inputs = gate_inputs(due, motion, made)
     weights = np.full(made.shape[:3], 1.0 / len(made)) if gate is None else gate.weights(inputs, made.shape[1])
-    mean = corrected = mixed = (weights[..., None] * made).sum(axis=0)
+    mixed = (weights[..., None] * made).sum(axis=0)
+    steps_to_mean = [mixed] * 5
     if regression is not None:
         regression.observe(measured)
-        corrected = regression.corrected(mixed, made, window[-1])
-        mean = mixed + corrected_share(due, errors.frames)[:, None] * (corrected - mixed)
+        corrected = regression.by_experts(mixed, made, window[-1])
+        first = mixed + corrected_share(due[-5:-3], errors.frames)[:, None] * (corrected - mixed)
+        again = regression.by_window(first, view, window[-1])
+        mean = first + corrected_share(due[-3:-1], errors.frames)[:, None] * (again - first)
+        steps_to_mean = [mixed, corrected, first, again, mean]
+    mean = steps_to_mean[-1]
     features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
-    errors.predicted(np.concatenate([made, mixed[None], corrected[None], mean[None]]))
+    errors.predicted(np.concatenate([made, steps_to_mean]))
     return MixtureOutput(mean, made, inputs, features, motion, skill(due, errors.frames))
 
 
@@ -176,8 +193,10 @@ class Kinecast:
         if state.adaptive is not None:
             state.adaptive.observe(measured)
         window = observation.positions
-        made = forecasts(self.experts, window[None], self.error_model.steps)[0]
-        output = mix(self.gate, state.errors, state.regression, window, measured, made)
+        views = arm_views(window[None])
+        [made] = forecasts(self.experts, window[None], views, self.error_model.steps)
+        [view] = person_views(self.experts.scale, views)
+        output = mix(self.gate, state.errors, state.regression, window, measured, made, view)
         scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:
             near = output.mean[: self.steps], scale[: self.steps]

@@ -1,8 +1,8 @@
 """Who is trusted: weights of the experts, learned in training and moved by each one's errors on the person in view.
 
-Two layers. The gate mixes all experts, its weights a softmax of what each one got wrong lately and of what the window
-looks like. A regression then learns, on this person alone, what the mixture leaves over: from how the experts differ
-and from the way back to where the person mostly is.
+The gate mixes all experts, its weights a softmax of what each one got wrong lately and of what the window looks like.
+A regression then learns, on this person alone, what the mixture leaves over: first from how the experts differ and from
+the way back to where the person mostly is, then from the window itself.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from kinecast.geometry.transforms import lengths
-from kinecast.prediction.kinecast.experts import TRIVIAL, WindowMotion
+from kinecast.prediction.kinecast.experts import NEWEST, TRIVIAL, PersonView, WindowMotion
 from kinecast.prediction.model_file import Arrays
 
 LEADS, HALF_LIVES = (1, 3, 6, 10, 15), (8.0, 40.0, 200.0, 10.0)
@@ -26,16 +26,16 @@ LONG_RUN = 2
 last."""
 REGRESSED, KEPT = (*LEADS, 30), 1000.0
 """Steps ahead at which the regression learns, and half-life of what it learned [frames]."""
-PRIOR = 100.0
-"""Precision of the prior that the mixture leaves nothing over, in weighted rows."""
+PRIORS = (100.0, 300.0)
+"""Precision of the prior that nothing is left over, in weighted rows: of the regressions on experts and on windows."""
 FINE = (0.01, 0.02)
 """Errors and motions smaller than this weigh no more [m]."""
 HOMEWARD = 15.0
 """The way home is walked evenly over so many steps."""
 POWER = 40.0
-"""How steeply the mixture and its correction are weighed by their long-run errors."""
+"""How steeply a forecast and its correction are weighed by their long-run errors."""
 DOUBT, DOUBT_FRAMES = 1.05, 30.0
-"""For so many frames' worth the correction is taken to err 5 % more than the mixture."""
+"""For so many frames' worth a correction is taken to err 5 % more than what it corrects."""
 
 JOINT_TYPE = np.array([0, 1, 2, 0, 1, 2])
 """Shoulder, elbow, wrist: left and right share what is learned."""
@@ -92,8 +92,10 @@ class RollingForecastErrors:
 
 
 def rolling_errors(experts: int, steps: int) -> RollingForecastErrors:
-    """Nothing remembered yet: of the experts, `experts` learned ones among them, of mixture, correction and mean."""
-    return RollingForecastErrors(TRIVIAL + experts + 3, tuple(min(lead, steps) for lead in LEADS), HALF_LIVES)
+    """Nothing remembered yet: of the experts, `experts` learned ones among them, then of the mixture and, twice, of a
+    correction and what is taken of it; the last is the mean.
+    """
+    return RollingForecastErrors(TRIVIAL + experts + 5, tuple(min(lead, steps) for lead in LEADS), HALF_LIVES)
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class GateInputs:
 
 
 def gate_inputs(
-    due: Float[np.ndarray, "E2 6 L H"], motion: WindowMotion, forecasts: Float[np.ndarray, "E T 6 3"]
+    due: Float[np.ndarray, "E5 6 L H"], motion: WindowMotion, forecasts: Float[np.ndarray, "E T 6 3"]
 ) -> GateInputs:
     """The gate's inputs from the rolling errors [m], the window's motion and what the experts forecast [m]."""
     errors = np.log(due[: len(forecasts), :, 1:, : LONG_RUN + 1].reshape(len(forecasts), 6, -1) + 0.002)
@@ -151,12 +153,43 @@ class Gate(Arrays):
         return weights / weights.sum(axis=0)
 
 
-class OnlineRegression:
-    """The mixture's error, regressed on this person's past.
+class OnlineRidge:
+    """Ridge regressions, one for each lead, by recursive least squares with forgetting.
 
-    error ≈ Σ coefficient · (expert − mixture) + coefficient · (home − last pose), home being where a joint mostly is: a
-    ridge regression, each lead for itself and all joints alike, by recursive least squares with forgetting. Rows weigh
-    one over their error and their motion: it is distances that get small, as they are scored, not squares.
+    Args:
+        leads: L, how many.
+        features, outputs: F and O, numbers that each goes by and gives.
+        prior: precision of the prior that all coefficients are zero.
+    """
+
+    def __init__(self, leads: int, features: int, outputs: int, prior: float) -> None:
+        self._gram, self._moment = np.zeros((leads, features, features)), np.zeros((leads, features, outputs))
+        self._prior, self._decay = prior * np.eye(features), 0.5 ** (1.0 / KEPT)
+
+    def learn(
+        self,
+        leads: Int[np.ndarray, " K"],
+        features: Float[np.ndarray, "K R F"],
+        outputs: Float[np.ndarray, "K R O"],
+        weight: Float[np.ndarray, "K R"],
+    ) -> None:
+        """Takes in R rows for each of some leads."""
+        weighted = (features * weight[..., None]).transpose(0, 2, 1)
+        self._gram[leads] = self._decay * self._gram[leads] + weighted @ features
+        self._moment[leads] = self._decay * self._moment[leads] + weighted @ outputs
+
+    def coefficients(self) -> Float[np.ndarray, "L F O"]:
+        """(L, F, O)."""
+        return np.linalg.solve(self._gram + self._prior, self._moment)
+
+
+class OnlineRegression:
+    """What forecasts leave over on one person, learned from those whose time has come.
+
+    First the mixture's error ≈ Σ coefficient · (expert − mixture) + coefficient · (home − last pose), all joints alike,
+    home being where a joint mostly is. Then what is left of it, an arm at a time and from its own side, over the
+    amplitude, by the window's last steps, pose and levels. Rows weigh one over their error and their motion: it is
+    distances that get small, as they are scored, not squares.
 
     Args:
         experts: E, how many forecast.
@@ -165,29 +198,35 @@ class OnlineRegression:
 
     def __init__(self, experts: int, steps: int) -> None:
         self._leads = tuple(sorted({min(lead, steps) for lead in REGRESSED}))
-        self._decay = 0.5 ** (1.0 / KEPT)
-        self._gram = np.zeros((len(self._leads), experts + 1, experts + 1))
-        self._moment = np.zeros((len(self._leads), experts + 1, 1))
-        self._past: deque[tuple[np.ndarray, ...] | None] = deque([None] * steps, maxlen=steps)
+        self._at = np.array(self._leads) - 1
+        self._experts = OnlineRidge(len(self._leads), experts + 1, 1, PRIORS[0])
+        self._window = OnlineRidge(len(self._leads), NEWEST + 1, 9, PRIORS[1])
+        self._past: deque[tuple[tuple[np.ndarray, ...], PersonView] | None] = deque([None] * steps, maxlen=steps)
+        self._made: tuple[np.ndarray, ...] = ()
         self._home, self._known = np.zeros((6, 3)), 0.0
 
     def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
         """Learns from what was predicted for this frame; NaN joints teach nothing. Call once a frame, first."""
         due = [(k, self._past[-lead]) for k, lead in enumerate(self._leads)]
-        known = [(k, *(part[k] for part in made)) for k, made in due if made is not None]
+        known = [(k, each[1], *(part[k] for part in each[0])) for k, each in due if each is not None]
         if not known or not np.isfinite(pose).all():
             return
-        rows, mixed, moved, regressors = map(np.array, zip(*known, strict=True))
+        rows, views, *made = zip(*known, strict=True)
+        leads = np.array(rows)
+        mixed, mixed_moved, regressors, mean, moved = map(np.array, made)
         error = pose - mixed
-        weight = 1.0 / ((lengths(error) + FINE[0]) * (moved + FINE[1]))
-        weighted = regressors.transpose(0, 2, 1) * np.repeat(weight, 3, axis=1)[:, None]
-        self._gram[rows] = self._decay * self._gram[rows] + weighted @ regressors
-        self._moment[rows] = self._decay * self._moment[rows] + weighted @ error.reshape(len(rows), 18, 1)
+        weight = 1.0 / ((lengths(error) + FINE[0]) * (mixed_moved + FINE[1]))
+        self._experts.learn(leads, regressors, error.reshape(-1, 18, 1), np.repeat(weight, 3, axis=1))
+        error = pose - mean
+        size, moved = (each.reshape(-1, 2, 3).mean(axis=2) for each in (lengths(error), moved))
+        view = PersonView(*map(np.array, zip(*views, strict=True)))
+        weight = view.amplitude**2 / ((size + FINE[0]) * (moved + FINE[1]))
+        self._window.learn(leads, view.features, view.to_arms(error), weight)
 
-    def corrected(
+    def by_experts(
         self, mixed: Float[np.ndarray, "T 6 3"], forecasts: Float[np.ndarray, "E T 6 3"], last: Float[np.ndarray, "6 3"]
     ) -> Float[np.ndarray, "T 6 3"]:
-        """The mixture [m] and what it is expected to leave over; kept, to learn from once the time has come."""
+        """The mixture [m] and what it is expected to leave over."""
         steps, experts = len(mixed), len(forecasts)
         self._known = self._known * 0.5 ** (1.0 / HALF_LIVES[LONG_RUN]) + 1.0
         self._home = self._home + (last - self._home) / self._known
@@ -195,10 +234,17 @@ class OnlineRegression:
         regressors[..., :-1] = (forecasts - mixed).reshape(experts, steps, 18).transpose(1, 2, 0)
         homeward = np.minimum(np.arange(1.0, steps + 1) / HOMEWARD, 1.0)
         regressors[..., -1] = homeward[:, None] * (self._home - last).ravel()
-        at = np.array(self._leads) - 1
-        self._past.append((mixed[at], lengths(mixed[at] - last), regressors[at]))
-        learned = np.linalg.solve(self._gram + PRIOR * np.eye(experts + 1), self._moment)[..., 0]
-        return mixed + (regressors @ (_between(self._leads, steps) @ learned)[..., None]).reshape(steps, 6, 3)
+        self._made = mixed[self._at], lengths(mixed[self._at] - last), regressors[self._at]
+        learned = _between(self._leads, steps) @ self._experts.coefficients()[..., 0]
+        return mixed + (regressors @ learned[..., None]).reshape(steps, 6, 3)
+
+    def by_window(
+        self, mean: Float[np.ndarray, "T 6 3"], view: PersonView, last: Float[np.ndarray, "6 3"]
+    ) -> Float[np.ndarray, "T 6 3"]:
+        """What was taken of `by_experts` [m], and what it is expected to leave over; both are kept, to learn from."""
+        self._past.append(((*self._made, mean[self._at], lengths(mean[self._at] - last)), view))
+        at_leads = (view.features @ self._window.coefficients()).reshape(len(self._leads), 18)
+        return mean + view.to_world((_between(self._leads, len(mean)) @ at_leads).reshape(-1, 2, 9))
 
     def skip(self, frames: int) -> None:
         """Frames of which nothing is known."""
@@ -211,21 +257,21 @@ def _between(leads: tuple[int, ...], steps: int) -> Float[np.ndarray, "T L"]:
     return np.stack([np.interp(np.arange(1, steps + 1), leads, each) for each in np.eye(len(leads))], axis=1)
 
 
-def corrected_share(due: Float[np.ndarray, "E3 6 L H"], frames: int) -> Float[np.ndarray, "6"]:
-    """(6,) how much of its correction the mixture takes, joint by joint, by what both got wrong in the long run.
+def corrected_share(due: Float[np.ndarray, "2 6 L H"], frames: int) -> Float[np.ndarray, "6"]:
+    """(6,) how much of its correction a forecast takes, joint by joint, by what both got wrong in the long run.
 
-    `due` are the rolling errors [m], NaN for leads that have not come due, `frames` how many were seen.
+    `due` are the rolling errors [m] of both, NaN for leads that have not come due, `frames` how many were seen.
     """
-    mixture, correction = _long_run(due[-3:-1])
-    age = _age(frames) if np.isfinite(mixture).all() else 0.0
-    ratio = np.where(age > 0.0, (correction + 1e-4) / (mixture + 1e-4), 1.0)
+    forecast, correction = _long_run(due)
+    age = _age(frames) if np.isfinite(forecast).all() else 0.0
+    ratio = np.where(age > 0.0, (correction + 1e-4) / (forecast + 1e-4), 1.0)
     return 1.0 / (1.0 + ((age * ratio + DOUBT_FRAMES * DOUBT) / (age + DOUBT_FRAMES)) ** POWER)
 
 
-def skill(due: Float[np.ndarray, "E3 6 L H"], frames: int) -> float:
+def skill(due: Float[np.ndarray, "E5 6 L H"], frames: int) -> float:
     """Skill score of the mean in the long run: 1 − its error over the best trivial expert's; 0 for a stranger.
 
-    `due` and `frames` as for `corrected_share`.
+    `due` are the rolling errors of all [m], `frames` how many were seen.
     """
     mean, *trivial = (_long_run(np.concatenate([due[-1:], due[:TRIVIAL]])).mean(axis=1) + 1e-4).tolist()
     age = _age(frames)
