@@ -135,10 +135,8 @@ class TestForecast:
 
     def test_left_and_right_are_the_same_in_a_mirror(self, method: Kinecast, observation: Observation) -> None:
         swapped = observation.positions[:, SWAP] * MIRROR
-        one = forecasts(
-            method.experts, observation.positions[None], arm_views(observation.positions[None]), method.steps
-        )[0]
-        other = forecasts(method.experts, swapped[None], arm_views(swapped[None]), method.steps)[0]
+        [one], _ = forecasts(method.experts, observation.positions[None], method.steps)
+        [other], _ = forecasts(method.experts, swapped[None], method.steps)
         np.testing.assert_allclose(other, one[:, :, SWAP] * MIRROR, atol=1e-9)
 
     def test_a_shorter_horizon_says_the_same_of_what_is_left(self, method: Kinecast, observation: Observation) -> None:
@@ -293,25 +291,23 @@ class TestFeatures:
 class TestExperts:
     def test_they_learn_that_straight_motion_goes_on(self, learned: Networks) -> None:
         observed, future = lines(5, 60)
-        made = forecasts(learned, observed, arm_views(observed), 3)
+        made, _ = forecasts(learned, observed, 3)
         error = np.linalg.norm(made - future[:, None], axis=-1).mean(axis=(0, 2, 3))
         assert (error[TRIVIAL:] < 0.2 * error[0]).all()  # the first of the trivial ones stands still
 
     def test_each_gives_alone_what_it_gives_beside_others(self, learned: Networks) -> None:
         observed, _ = lines(6, 5)
-        both = forecasts(learned, observed, arm_views(observed), 3)
+        both, _ = forecasts(learned, observed, 3)
         for k in range(2):
-            alone = forecasts(learned.take([k]), observed, arm_views(observed), 3)
+            alone, _ = forecasts(learned.take([k]), observed, 3)
             np.testing.assert_allclose(alone[:, TRIVIAL], both[:, TRIVIAL + k], atol=1e-12)
-        assert forecasts(learned.take([]), observed, arm_views(observed), 3).shape[1] == TRIVIAL
+        assert forecasts(learned.take([]), observed, 3)[0].shape[1] == TRIVIAL
 
     def test_they_come_back_from_their_arrays(self, learned: Networks) -> None:
         observed, _ = lines(6, 5)
         arrays = learned.to_arrays()
         again = restored(arrays)
-        np.testing.assert_array_equal(
-            forecasts(again, observed, arm_views(observed), 3), forecasts(learned, observed, arm_views(observed), 3)
-        )
+        np.testing.assert_array_equal(forecasts(again, observed, 3)[0], forecasts(learned, observed, 3)[0])
         del arrays["scale.pose_mean"]
         with pytest.raises(ModelError, match=r"scale\.pose_mean"):
             restored(arrays)

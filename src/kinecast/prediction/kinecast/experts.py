@@ -124,16 +124,6 @@ class PersonView(NamedTuple):
         return errors.reshape(-1, 6, 3) @ self.rotation.swapaxes(-1, -2)
 
 
-def person_views(scale: FeatureScale, views: ArmViews) -> list[PersonView]:
-    """One for each window."""
-    features = scale.features(views)[:, -NEWEST:]
-    features = np.concatenate([features, np.ones((len(features), 1))], axis=1)
-    sides = (
-        each.reshape(2, len(views.rotation), *each.shape[1:]).swapaxes(0, 1) for each in (features, views.amplitude)
-    )
-    return list(map(PersonView, *sides, views.rotation))
-
-
 @dataclass(frozen=True)
 class WindowMotion:
     """How the joints moved in a window.
@@ -212,18 +202,23 @@ def trivial_experts(frames: int, steps: int) -> Float[np.ndarray, "E T N"]:
 
 
 def forecasts(
-    experts: Networks, windows: Float[np.ndarray, "W N 6 3"], views: ArmViews, steps: int
-) -> Float[np.ndarray, "W E T 6 3"]:
-    """What every expert forecasts from windows and their views, trivial ones first, world [m]."""
-    trivial = np.tensordot(trivial_experts(windows.shape[1], steps), windows, axes=(2, 1)).transpose(2, 0, 1, 3, 4)
+    experts: Networks, windows: Float[np.ndarray, "W N 6 3"], steps: int
+) -> tuple[Float[np.ndarray, "W E T 6 3"], list[PersonView]]:
+    """What every expert forecasts, trivial ones first, world [m]; and what a regression on the person sees of each."""
+    made = np.tensordot(trivial_experts(windows.shape[1], steps), windows, axes=(2, 1)).transpose(2, 0, 1, 3, 4)
+    views = arm_views(windows)
+    features = experts.scale.features(views)
+    newest = np.concatenate([features[:, -NEWEST:], np.ones((len(features), 1))], axis=1)
+    newest = newest.reshape(2, len(windows), -1).swapaxes(0, 1)
+    seen = list(map(PersonView, newest, views.amplitude.reshape(2, -1).T, views.rotation))
     if not len(experts):
-        return trivial
-    coefficients = experts.coefficients(experts.scale.features(views))
+        return made, seen
+    coefficients = experts.coefficients(features)
     coefficients = coefficients.reshape(*coefficients.shape[:2], -1, 9)
     displacement = time_basis(steps, coefficients.shape[2]) @ coefficients
     displacement *= views.amplitude[:, None, None]
     learned = views.to_world(displacement.reshape(*displacement.shape[:3], 3, 3))
-    return np.concatenate([trivial, learned.transpose(1, 0, 2, 3, 4)], axis=1)
+    return np.concatenate([made, learned.transpose(1, 0, 2, 3, 4)], axis=1), seen
 
 
 @dataclass(frozen=True)

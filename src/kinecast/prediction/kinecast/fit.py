@@ -18,7 +18,6 @@ from kinecast.prediction.kinecast.experts import (
     Networks,
     arm_views,
     forecasts,
-    person_views,
     yaw_frame,
 )
 from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
@@ -200,9 +199,7 @@ def _followed(
     steps, before = windows.future.shape[1], int(windows.frame[0]) - LONGEST_PAUSE - 2
     for row, frame in enumerate(windows.frame.tolist()):
         if row % AT_ONCE == 0:
-            block = windows.observed[row : row + AT_ONCE]
-            views = arm_views(block)
-            made, seen = forecasts(networks, block, views, steps), person_views(networks.scale, views)
+            made, seen = forecasts(networks, windows.observed[row : row + AT_ONCE], steps)
         if frame - before - 1 > LONGEST_PAUSE:
             errors, before = rolling_errors(len(networks), steps), frame - 1
             regression = OnlineRegression(TRIVIAL + len(networks), steps) if gate is not None else None

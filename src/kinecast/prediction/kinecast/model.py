@@ -27,9 +27,7 @@ from kinecast.prediction.kinecast.experts import (
     Networks,
     PersonView,
     WindowMotion,
-    arm_views,
     forecasts,
-    person_views,
     yaw_frame,
 )
 from kinecast.prediction.kinecast.weights import (
@@ -193,9 +191,7 @@ class Kinecast:
         if state.adaptive is not None:
             state.adaptive.observe(measured)
         window = observation.positions
-        views = arm_views(window[None])
-        [made] = forecasts(self.experts, window[None], views, self.error_model.steps)
-        [view] = person_views(self.experts.scale, views)
+        [made], [view] = forecasts(self.experts, window[None], self.error_model.steps)
         output = mix(self.gate, state.errors, state.regression, window, measured, made, view)
         scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:

@@ -263,8 +263,7 @@ def corrected_share(due: Float[np.ndarray, "2 6 L H"], frames: int) -> Float[np.
     `due` are the rolling errors [m] of both, NaN for leads that have not come due, `frames` how many were seen.
     """
     forecast, correction = _long_run(due)
-    age = _age(frames) if np.isfinite(forecast).all() else 0.0
-    ratio = np.where(age > 0.0, (correction + 1e-4) / (forecast + 1e-4), 1.0)
+    age, ratio = _age(frames), np.nan_to_num((correction + 1e-4) / (forecast + 1e-4), nan=1.0)
     return 1.0 / (1.0 + ((age * ratio + DOUBT_FRAMES * DOUBT) / (age + DOUBT_FRAMES)) ** POWER)
 
 
