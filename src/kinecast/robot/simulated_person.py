@@ -15,7 +15,7 @@ from kinecast.robot.separation import Moving, SeparationOptions, moving, separat
 from kinecast.types import SkeletonFrame
 
 RATE = 30.0  # of the camera's shots [Hz]
-MARGIN, FORESIGHT = 0.06, 0.25  # a person goes no nearer to the arm than this [m], and looks so far ahead [s]
+MARGIN, FORESIGHT = 0.06, 0.25  # a person goes no nearer to the arm than this at first [m], and looks so far ahead [s]
 PATIENCE = 1.0
 """How long they wait, and how long they draw back at first [s]; so much longer each time in a row."""
 CHANGE = 5.0  # how fast they slow down and take up again, of their own speed [1/s]
@@ -49,9 +49,9 @@ class PlayedPerson:
 class ReactivePerson:
     """Somebody who does what was recorded, but stops short of an arm that is in the way, and goes on when it is gone.
 
-    If it is still there after a while they draw back the way they came, each time farther, and try again. Everybody
-    does so who sees a robot; a recording alone would be pushed through it, and two who wait for one another would
-    wait for ever.
+    If it is still there after a while they draw back the way they came, and try again, each time farther and nearer
+    past it. Everybody does so who sees a robot; a recording alone would be pushed through it, and two who wait for one
+    another would wait for ever.
 
     Args:
         person: what they want to do.
@@ -92,7 +92,7 @@ class ReactivePerson:
         poses = (self.person.at(each) for each in (clock, clock + wish * FORESIGHT))
         bodies = (body_capsules(self.joints, np.stack([pose, pose]), TRUE_BODY) for pose in poses)
         near, later = (separation(arm, moving(body, 1.0), SeparationOptions()).distance for body in bodies)
-        blocked = later < MARGIN and later < near
+        blocked = later < MARGIN / self._tries and later < near
         if not back and not blocked:
             self._blocked_since = None
         elif not back and self._blocked_since is None:

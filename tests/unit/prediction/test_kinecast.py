@@ -13,12 +13,14 @@ from kinecast.errors import ModelError
 from kinecast.prediction.density import PoseDensity
 from kinecast.prediction.kinecast import fit, objectives
 from kinecast.prediction.kinecast.error_model import (
+    BROAD,
     CEILING,
     LEVEL,
     SCALES,
+    SHARP,
     AdaptiveScale,
     ErrorModel,
-    mixture_radius,
+    share_within,
 )
 from kinecast.prediction.kinecast.experts import (
     DAMPED,
@@ -208,7 +210,7 @@ class TestState:
         for frame in frames:
             at = replace(observation, stamp=frame * method.dt)
             state = method.update(state, at, observation.positions[-1])
-        return state.errors.frames
+        return state.mixture.errors.frames
 
     def test_pauses_are_bridged_until_they_are_too_long(self, method: Kinecast, observation: Observation) -> None:
         assert self.seen(method, observation, [0, 1, 2]) == 3
@@ -226,8 +228,8 @@ class TestState:
         hidden[4] = np.nan
         for frame in range(8):
             state = method.update(state, replace(observation, stamp=frame * method.dt), hidden)
-        assert state.errors.frames == 8
-        assert np.isnan(state.errors.mean()).all()
+        assert state.mixture.errors.frames == 8
+        assert np.isnan(state.mixture.errors.mean()).all()
         assert state.adaptive is not None
         np.testing.assert_array_equal(state.adaptive.factor(REST), 1.0)
 
@@ -364,11 +366,10 @@ class TestErrorModel:
             own = np.einsum("tjd,d->tjd", error, np.ones(3))
             own[:, 3:] *= MIRROR  # errors were in each arm's own axes
             z.append(model.whitened(own, model.scale(feature), turns, steps))
-        radius = np.linalg.norm(z, axis=-1)
-        for level in (0.5, LEVEL, 0.9):
-            reach = [mixture_radius(model.weights(feature), level) for feature in features]
-            held = (radius < np.array(reach)[:, None, None]).mean(axis=(0, 2))
-            np.testing.assert_allclose(held, level, atol=0.03)
+        weights = np.repeat([model.weights(feature) for feature in features], 3, axis=0)
+        inside = share_within(np.linalg.norm(z, axis=-1).reshape(-1, 6), weights).reshape(-1, 3, 6)
+        for level in (SHARP, LEVEL, BROAD):
+            np.testing.assert_allclose((inside < level).mean(axis=(0, 2)), level, atol=0.03)
         spread = np.reshape(z, (-1, 3)).std(axis=0)
         np.testing.assert_allclose(spread / spread.mean(), 1.0, atol=0.1)  # the axes' own sizes are gone
 
@@ -559,6 +560,23 @@ class TestParts:
             assert (scale.factor(REST) > 1.2).all() if grows else (scale.factor(REST) < 0.9).all()
             np.testing.assert_array_equal(scale.factor(np.full(6, 0.02)), 1.0)  # of fast joints nothing is known
 
-    def test_the_radius_of_a_unit_normal_is_known(self) -> None:
+    @pytest.mark.parametrize("even", [True, False])
+    def test_the_common_factors_part_for_who_rests_or_leaps_and_meet_for_who_moves_evenly(
+        self, method: Kinecast, even: bool
+    ) -> None:
+        steps, rng = method.steps, np.random.default_rng(0)
+        scale = AdaptiveScale(method.error_model, steps, method.dt)
+        weights = np.full(len(SCALES), 1.0 / len(SCALES))
+        for _ in range(200):
+            common = 1.0 if even else rng.choice([0.01, 5.0], p=[0.7, 0.3])
+            z = common * rng.standard_normal((6, 3, 1))
+            scale.observe((method.error_model._axes[0] @ z)[..., 0])
+            scale.predicted(np.zeros((steps, 6, 3)), np.ones((steps, 6)), np.eye(3), weights, REST)
+        spread = np.log(scale.scales[-1] / scale.scales[0]) / np.log(SCALES[-1] / SCALES[0])
+        assert spread < 0.8 if even else spread > 1.2
+
+    def test_the_share_of_a_unit_normal_within_a_radius_is_known(self) -> None:
         # The 0.9 quantile of chi squared with three degrees of freedom is 6.2514.
-        assert mixture_radius(UNIT, 0.9) == pytest.approx(np.sqrt(6.2514), abs=1e-4)
+        radius = np.full((1, 6), np.sqrt(6.2514))
+        np.testing.assert_allclose(share_within(radius, UNIT[None]), 0.9, atol=1e-5)
+        np.testing.assert_allclose(share_within(2.0 * radius, UNIT[None], 2.0 * SCALES), 0.9, atol=1e-5)

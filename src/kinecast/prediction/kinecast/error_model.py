@@ -9,17 +9,16 @@ small or large depends on the window too: who rests mostly stays, but may start.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from kinecast.geometry.transforms import lengths
 from kinecast.prediction.kinecast.experts import MIRROR, TRIVIAL, WindowMotion
-from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs
+from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs, Outstanding
 from kinecast.prediction.model_file import Arrays
 
 CEILING, STRAYS = 0.75, 3.0
@@ -27,34 +26,36 @@ CEILING, STRAYS = 0.75, 3.0
 
 SPEEDS = (0.05, 0.3)
 """What parts joints that rest, slow and fast ones [m/s]."""
-LEVEL = 0.8
-"""The region whose coverage `AdaptiveScale` holds."""
-RATE, FORGET = 0.1, 0.995
-"""How fast the log of its factor moves with each miss, and how fast it returns to nothing."""
-MOST = 1.5
-"""Most that the log of its factor strays from zero."""
+LEVEL, SHARP, BROAD = 0.8, 0.5, 0.95
+"""Regions whose coverage `AdaptiveScale` holds: by its factors, and by its exponent."""
+RATE, HASTE, HASTE_FRAMES = 0.1, 2.0, 15.0
+"""How fast logs move with each miss; those of the factors so much faster at first, for about so many frames."""
+MOST, MOST_EXPONENT = 3.0, 0.7
+"""Most that the logs stray from zero."""
 
 Errors: TypeAlias = Float[np.ndarray, "B T 6 3"]
 
 SCALES = np.array([0.2, 0.35, 0.6, 1.0, 1.7, 3.0])
 """The common factors of the mixture; their weights depend on the window."""
 RADII = np.geomspace(1e-2, 60.0, 3000)
-"""At which the share of the mixture is tabulated: 0.3 % apart, so that a radius between two is right to 1e-5."""
+"""At which the share of a unit normal in three dimensions is tabulated."""
 SIDES = np.stack([np.eye(3)] * 3 + [np.diag(MIRROR)] * 3)
 """(6, 3, 3) from the arm's own axes to the person's: the right arm was seen in a mirror."""
 
 
-def mixture_radius(weights: Float[np.ndarray, " K"], level: float) -> float:
-    """Radius that holds a share of a three-dimensional scale mixture of unit normals."""
-    return float(np.interp(level, _balls() @ weights, RADII))
+def share_within(
+    radius: Float[np.ndarray, "B 6"], weights: Float[np.ndarray, "B K"], scales: Float[np.ndarray, " K"] = SCALES
+) -> Float[np.ndarray, "B 6"]:
+    """(B, 6) share of a mixture of normals in three dimensions, of these weights and spreads, within a radius."""
+    each = np.interp(radius[..., None] / scales, RADII, _unit_balls())
+    return np.asarray((each @ weights[..., None])[..., 0])
 
 
 @cache
-def _balls() -> Float[np.ndarray, "R K"]:
-    """(R, K) share of a normal of each of `SCALES` within each of `RADII`."""
-    r = RADII[:, None] / SCALES
-    within = np.array([math.erf(x) for x in (r / math.sqrt(2.0)).ravel()]).reshape(r.shape)
-    return np.asarray(within - math.sqrt(2.0 / math.pi) * r * np.exp(-0.5 * r * r))
+def _unit_balls() -> Float[np.ndarray, " R"]:
+    """(R,) share of a unit normal within each of `RADII`."""
+    within = np.array([math.erf(r) for r in (RADII / math.sqrt(2.0)).tolist()])
+    return np.asarray(within - math.sqrt(2.0 / math.pi) * RADII * np.exp(-0.5 * RADII * RADII))
 
 
 def error_features(
@@ -156,39 +157,51 @@ class ErrorModel(Arrays):
         return np.linalg.inv(self._axes)
 
 
-class AdaptiveScale:
-    """Factors on the spread at each step, moved by whether the truth fell where it should (adaptive conformal).
+class AdaptiveScale(Outstanding):
+    """Corrects the spread on the person in view, by where the truth fell in what was predicted (adaptive conformal,
+    Gibbs and Candès 2021).
 
-    There is one for joints that rest, for slow and for fast ones. log factor ← forget · log factor + rate · (joints
-    outside the region − (1 − level) · joints) / 6, each time a prediction comes due (Gibbs and Candès 2021, with leak).
+    There is a factor at each step for joints that rest, for slow and for fast ones: log factor ← log factor + rate ·
+    (share of these joints outside the 80 % region − 20 %), each time a prediction comes due. And there is an exponent
+    on the common factors, as much above one as more fall into the 50 % region, and out of the 95 % one, than should:
+    some people and trackers stay or leap, others move evenly.
     """
 
     def __init__(self, model: ErrorModel, steps: int, dt: float) -> None:
+        super().__init__(steps)
         self._model, self._edges = model, np.array(SPEEDS) * dt
         self._log = np.zeros((steps, len(SPEEDS) + 1))
-        self._past: deque[tuple[Any, ...] | None] = deque(maxlen=steps)
+        self._judged = np.zeros(self._log.shape)
+        self._log_exponent = 0.0
 
     def factor(self, speed: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6"]:
         """(T, 6) by which to multiply the spread of joints of these speeds [m per frame]."""
         return np.exp(self._log[:, np.searchsorted(self._edges, speed)])
 
-    def skip(self, frames: int) -> None:
-        """Frames of which nothing is known."""
-        self._past.extend([None] * frames)
+    @property
+    def scales(self) -> Float[np.ndarray, " K"]:
+        """(K,) the common factors."""
+        return np.asarray(SCALES ** math.exp(self._log_exponent))
 
     def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
-        """Judges what was predicted for this frame; NaN joints judge nothing. The newest was predicted one step ago."""
-        known = [(step, *made) for step, made in enumerate(reversed(self._past)) if made is not None]
+        """Judges what was predicted for this frame; NaN joints judge nothing. Call once a frame, before `predicted`."""
+        known = [(step, *made) for step, made in self._due(range(1, len(self._log) + 1))]
         if not known or not np.isfinite(pose).all():
             return
-        due, means, scales, rotations, radii, bins = map(np.array, zip(*known, strict=True))
+        due, means, scales, rotations, weights, bins = map(np.array, zip(*known, strict=True))
         rows = np.arange(len(due))
         z = self._model.whitened(pose - means[rows, due], scales[rows, due], rotations, due)
-        reach = radii[:, None] * np.exp(np.take_along_axis(self._log[due], bins, axis=1))
-        missed = ((z**2).sum(axis=-1) > reach**2) - (1.0 - LEVEL)
+        radius = lengths(z) / np.exp(np.take_along_axis(self._log[due], bins, axis=1))
+        inside = share_within(radius, weights, self.scales)
+        surplus = np.mean(inside <= SHARP) - SHARP + np.mean(inside > BROAD) - (1.0 - BROAD)
+        self._log_exponent = float(np.clip(self._log_exponent + RATE * surplus, -MOST_EXPONENT, MOST_EXPONENT))
+        missed = (inside > LEVEL) - (1.0 - LEVEL)
         for k in range(self._log.shape[1]):
-            moved = self._log[due, k] + RATE * np.where(bins == k, missed, 0.0).mean(axis=1)
-            self._log[due, k] = np.clip(np.where((bins == k).any(axis=1), FORGET * moved, moved), -MOST, MOST)
+            here = bins == k
+            self._judged[due, k] += here.any(axis=1)
+            rate = RATE * (1.0 + HASTE / (1.0 + self._judged[due, k] / HASTE_FRAMES))
+            moved = self._log[due, k] + rate * np.where(here, missed, 0.0).mean(axis=1)
+            self._log[due, k] = np.clip(moved, -MOST, MOST)
 
     def predicted(
         self,
@@ -202,7 +215,7 @@ class AdaptiveScale:
 
         Mean [m], scale, rotation of the person's axes, weights of common factors, speed of the joints [m per frame].
         """
-        self._past.append((mean, scale, rotation, mixture_radius(weights, LEVEL), np.searchsorted(self._edges, speed)))
+        self._made.append((mean, scale, rotation, weights, np.searchsorted(self._edges, speed)))
 
 
 def inverse_ceiling(reach: Float[np.ndarray, "3 T"], shape: Float[np.ndarray, "3 T 3 3"]) -> Float[np.ndarray, "3 T"]:

@@ -12,17 +12,10 @@ from jaxtyping import Bool, Float, Int
 
 from kinecast.body.limits import JointLimits
 from kinecast.prediction.kinecast.error_model import SIDES, ErrorModel
-from kinecast.prediction.kinecast.experts import (
-    TRIVIAL,
-    FeatureScale,
-    Networks,
-    arm_views,
-    forecasts,
-    yaw_frame,
-)
-from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, mix
+from kinecast.prediction.kinecast.experts import FeatureScale, Networks, arm_views, forecasts, yaw_frame
+from kinecast.prediction.kinecast.model import LONGEST_PAUSE, Kinecast, MixtureOutput, OnlineMixture
 from kinecast.prediction.kinecast.objectives import fit_error_model, fit_gate, fit_network
-from kinecast.prediction.kinecast.weights import Gate, OnlineRegression, rolling_errors
+from kinecast.prediction.kinecast.weights import Gate
 from kinecast.prediction.training_windows import TrainingWindows
 from kinecast.tasks import Workers, generator
 
@@ -201,12 +194,8 @@ def _followed(
         if row % AT_ONCE == 0:
             made, seen = forecasts(networks, windows.observed[row : row + AT_ONCE], steps)
         if frame - before - 1 > LONGEST_PAUSE:
-            errors, before = rolling_errors(len(networks), steps), frame - 1
-            regression = OnlineRegression(TRIVIAL + len(networks), steps) if gate is not None else None
-        for part in (errors, regression):
-            if part is not None:
-                part.skip(frame - before - 1)
-        window = windows.observed[row]
-        at = row % AT_ONCE
-        yield row, mix(gate, errors, regression, window, window[-1], made[at], seen[at]), window
+            mixture, before = OnlineMixture(gate, len(networks), steps, regresses=gate is not None), frame - 1
+        mixture.skip(frame - before - 1)
+        window, at = windows.observed[row], row % AT_ONCE
+        yield row, mixture.step(window, window[-1], made[at], seen[at]), window
         before = frame

@@ -34,7 +34,6 @@ from kinecast.prediction.kinecast.weights import (
     Gate,
     GateInputs,
     OnlineRegression,
-    RollingForecastErrors,
     corrected_share,
     gate_inputs,
     rolling_errors,
@@ -80,43 +79,56 @@ class MixtureOutput:
     skill: float
 
 
-def mix(
-    gate: Gate | None,
-    errors: RollingForecastErrors,
-    regression: OnlineRegression | None,
-    window: Float[np.ndarray, "N 6 3"],
-    measured: Float[np.ndarray, "6 3"],
-    made: Motions,
-    view: PersonView,
-) -> MixtureOutput:
-    """Learns from the newest frame how the experts did, and mixes what they make of it.
+class OnlineMixture:
+    """The mixture of the experts as it follows one person.
 
     Args:
         gate: None while it is being trained; experts then count alike.
-        errors: of past forecasts of this person; changed.
-        regression: on this person; changed; None for none.
-        window: that ends with the frame, world [m].
-        measured: the frame [m], NaN where it was not.
-        made: (E, T, 6, 3) forecasts of the experts from it [m].
-        view: of the window.
+        experts: how many learned ones.
+        steps: T.
+        regresses: whether what the mixture leaves over is learned too.
     """
-    errors.observe(measured)
-    due, motion = errors.mean(), WindowMotion.of(window)
-    inputs = gate_inputs(due, motion, made)
-    weights = np.full(made.shape[:3], 1.0 / len(made)) if gate is None else gate.weights(inputs, made.shape[1])
-    mixed = (weights[..., None] * made).sum(axis=0)
-    steps_to_mean = [mixed] * 5
-    if regression is not None:
-        regression.observe(measured)
-        corrected = regression.by_experts(mixed, made, window[-1])
-        first = mixed + corrected_share(due[-5:-3], errors.frames)[:, None] * (corrected - mixed)
-        again = regression.by_window(first, view, window[-1])
-        mean = first + corrected_share(due[-3:-1], errors.frames)[:, None] * (again - first)
-        steps_to_mean = [mixed, corrected, first, again, mean]
-    mean = steps_to_mean[-1]
-    features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
-    errors.predicted(np.concatenate([made, steps_to_mean]))
-    return MixtureOutput(mean, made, inputs, features, motion, skill(due, errors.frames))
+
+    def __init__(self, gate: Gate | None, experts: int, steps: int, regresses: bool) -> None:
+        self.errors, self._gate = rolling_errors(experts, steps), gate
+        self._regression = OnlineRegression(TRIVIAL + experts, steps) if regresses else None
+
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        self.errors.skip(frames)
+        if self._regression is not None:
+            self._regression.skip(frames)
+
+    def step(
+        self, window: Float[np.ndarray, "N 6 3"], measured: Float[np.ndarray, "6 3"], made: Motions, view: PersonView
+    ) -> MixtureOutput:
+        """Learns from the newest frame how the experts did, and mixes what they make of it.
+
+        Args:
+            window: that ends with the frame, world [m].
+            measured: the frame [m], NaN where it was not.
+            made: (E, T, 6, 3) forecasts of the experts from it [m].
+            view: of the window.
+        """
+        errors, regression = self.errors, self._regression
+        errors.observe(measured)
+        due, motion = errors.mean(), WindowMotion.of(window)
+        inputs = gate_inputs(due, motion, made)
+        alike = np.full(made.shape[:3], 1.0 / len(made))
+        weights = alike if self._gate is None else self._gate.weights(inputs, made.shape[1])
+        mixed = (weights[..., None] * made).sum(axis=0)
+        steps_to_mean = [mixed] * 5
+        if regression is not None:
+            regression.observe(measured)
+            corrected = regression.by_experts(mixed, made, window[-1])
+            first = mixed + corrected_share(due[-5:-3], errors.frames)[:, None] * (corrected - mixed)
+            again = regression.by_window(first, view, window[-1])
+            mean = first + corrected_share(due[-3:-1], errors.frames)[:, None] * (again - first)
+            steps_to_mean = [mixed, corrected, first, again, mean]
+        mean = steps_to_mean[-1]
+        features = error_features(window, motion, made, mean, inputs, due[-1, :, RECENT_LEADS, -1].T)
+        errors.predicted(np.concatenate([made, steps_to_mean]))
+        return MixtureOutput(mean, made, inputs, features, motion, skill(due, errors.frames))
 
 
 @dataclass
@@ -124,8 +136,7 @@ class State:
     """What is remembered of one person, and what is predicted from the newest frame on.
 
     Attributes:
-        errors: of past forecasts.
-        regression: of what the mixture leaves over; None for none.
+        mixture: how the experts did.
         adaptive: how the spread has had to grow; None where it does not follow the person.
         output: the newest mean; None before the first frame.
         scale: (T, 6) of the newest error, without the adaptive factor.
@@ -134,8 +145,7 @@ class State:
         path: where the wrists were, the newest last [m].
     """
 
-    errors: RollingForecastErrors
-    regression: OnlineRegression | None
+    mixture: OnlineMixture
     adaptive: AdaptiveScale | None
     output: MixtureOutput | None = None
     scale: Float[np.ndarray, "T 6"] | None = None
@@ -175,9 +185,7 @@ class Kinecast:
     def init_state(self) -> State:
         """See kinecast.prediction.method.Method."""
         adaptive = AdaptiveScale(self.error_model, self.steps, self.dt) if self.adaptive else None
-        steps, experts = self.error_model.steps, len(self.experts)
-        regression = OnlineRegression(TRIVIAL + experts, steps) if self.regresses else None
-        return State(rolling_errors(experts, steps), regression, adaptive)
+        return State(OnlineMixture(self.gate, len(self.experts), self.error_model.steps, self.regresses), adaptive)
 
     def update(self, state: State, observation: Observation, measured: Float[np.ndarray, "6 3"]) -> State:
         """See kinecast.prediction.method.Method."""
@@ -185,14 +193,14 @@ class Kinecast:
         if not self.remembers or not 0 <= pause <= LONGEST_PAUSE:
             state = self.init_state()
         else:
-            for part in (state.errors, state.regression, state.adaptive):
-                if part is not None:
-                    part.skip(pause)
+            state.mixture.skip(pause)
+            if state.adaptive is not None:
+                state.adaptive.skip(pause)
         if state.adaptive is not None:
             state.adaptive.observe(measured)
         window = observation.positions
         [made], [view] = forecasts(self.experts, window[None], self.error_model.steps)
-        output = mix(self.gate, state.errors, state.regression, window, measured, made, view)
+        output = state.mixture.step(window, measured, made, view)
         scale, weights = self.error_model.scale(output.features), self.error_model.weights(output.features)
         if state.adaptive is not None:
             near = output.mean[: self.steps], scale[: self.steps]
@@ -209,20 +217,20 @@ class Kinecast:
             state = self.update(state, observation, observation.positions[-1])
             return self.forecast(state, observation, rng, samples)
         steps, output, model = self.steps, state.output, self.error_model
-        scale = state.scale[:steps]
+        scale, scales = state.scale[:steps], SCALES
         if state.adaptive is not None:
-            scale = scale * state.adaptive.factor(output.motion.speed)
+            scale, scales = scale * state.adaptive.factor(output.motion.speed), state.adaptive.scales
         rotation = observation.frame[0].T @ yaw_frame(observation.positions[-1])
         factor = with_noise(model.factor_in(scale, rotation), observation.noise)
         world_mean = output.mean[:steps]
         mean = observation.to_torso(world_mean)
         draws = rng.standard_normal((factor.shape[-1], samples))
-        common, goals = common_factors(state.weights, samples, rng), None
+        common, goals = common_factors(scales, state.weights, samples, rng), None
         if observation.goals is None:
             draws *= common
         else:
-            scales = SCALES, state.weights
-            goals = goal_mixture(observation.goals, observation, np.array(state.path), mean, factor, scales)
+            path, mixture = np.array(state.path), (scales, state.weights)
+            goals = goal_mixture(observation.goals, observation, path, mean, factor, mixture)
             draws *= rng.permutation(common)
             goals.move(draws, rng)
             world_mean = world_mean + goals.mean(factor) @ observation.frame[0].T
@@ -231,7 +239,7 @@ class Kinecast:
             return mean + np.tensordot(draws, factor, axes=(0, 3))
 
         constraint = None if self.limits is None else ConstraintFactor(drawn, observation, self.limits, self.noise)
-        blocks = MixtureBlocks(mean, factor, model.rough[:steps], state.weights, goals)
+        blocks = MixtureBlocks(mean, factor, model.rough[:steps], scales, state.weights, goals)
         return Forecast(
             sample_motions(observation, mean, factor, draws, self.limits, model.farthest[:steps]),
             world_mean,
@@ -258,6 +266,7 @@ class MixtureBlocks:
     mean: Motion
     factor: Factor
     rough: Motion
+    scales: Float[np.ndarray, " K"]
     weights: Float[np.ndarray, " K"]
     goals: GoalMixture | None
 
@@ -278,7 +287,7 @@ class MixtureBlocks:
             centres, each = mean + np.moveaxis(factor @ goals.shifts, -1, 0), goals.weights
         floor = np.broadcast_to(np.hypot(self.rough * spread, FLOOR), factors.shape[:-1])
         return GaussianMixture.of_positions(
-            centres, factors, floor, weights=each, kind=kind, scales=SCALES, scale_weights=self.weights
+            centres, factors, floor, weights=each, kind=kind, scales=self.scales, scale_weights=self.weights
         )
 
 
@@ -290,10 +299,12 @@ def with_noise(factor: Factor, noise: Float[np.ndarray, "6"]) -> Float[np.ndarra
     return np.concatenate([factor, np.broadcast_to(shared, (len(factor), *shared.shape))], axis=-1)
 
 
-def common_factors(weights: Float[np.ndarray, " K"], samples: int, rng: np.random.Generator) -> Float[np.ndarray, " S"]:
+def common_factors(
+    scales: Float[np.ndarray, " K"], weights: Float[np.ndarray, " K"], samples: int, rng: np.random.Generator
+) -> Float[np.ndarray, " S"]:
     """(S,) draws of the common factor: as near to its weights as S allows."""
     places = (np.arange(samples) + rng.random()) / samples
-    return SCALES[np.minimum(np.searchsorted(np.cumsum(weights), places), len(SCALES) - 1)]
+    return scales[np.minimum(np.searchsorted(np.cumsum(weights), places), len(scales) - 1)]
 
 
 def ablations(whole: Kinecast) -> dict[str, Kinecast]:

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -48,7 +50,26 @@ def step_basis(steps: int) -> Float[np.ndarray, "T 3"]:
     return np.stack([np.ones(steps), centre, centre**2], axis=1)
 
 
-class RollingForecastErrors:
+class Outstanding:
+    """What was predicted for frames to come, the newest last; None for frames of which nothing is known.
+
+    Args:
+        steps: so many frames ahead are predicted.
+    """
+
+    def __init__(self, steps: int) -> None:
+        self._made: deque[Any] = deque([None] * steps, maxlen=steps)
+
+    def skip(self, frames: int) -> None:
+        """Frames of which nothing is known."""
+        self._made.extend([None] * frames)
+
+    def _due(self, leads: Iterable[int]) -> list[tuple[int, Any]]:
+        """What was predicted so many frames ago and is known by now, and the place of its lead."""
+        return [(k, self._made[-lead]) for k, lead in enumerate(leads) if self._made[-lead] is not None]
+
+
+class RollingForecastErrors(Outstanding):
     """Exponentially forgotten mean error of each forecaster's past predictions, once their time has come.
 
     Args:
@@ -58,32 +79,30 @@ class RollingForecastErrors:
     """
 
     def __init__(self, forecasters: int, leads: tuple[int, ...], half_lives: tuple[float, ...]) -> None:
+        super().__init__(max(leads))
         self.frames = 0  # seen so far
         self._leads, self._decay = leads, 0.5 ** (1.0 / np.array(half_lives))
         self._sum = np.zeros((len(leads), forecasters, 6, len(half_lives)))
         self._weight = np.zeros((len(leads), len(half_lives)))
-        self._past: deque[Float[np.ndarray, "E T 6 3"] | None] = deque([None] * max(leads), maxlen=max(leads))
 
     def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
         """Judges what was predicted for this frame; NaN joints judge nothing. Call once a frame, before `predicted`."""
         self.frames += 1
         if not np.isfinite(pose).all():
             return
-        for k, lead in enumerate(self._leads):
-            made = self._past[-lead]
-            if made is not None:
-                self._sum[k] *= self._decay
-                self._sum[k] += lengths(made[:, lead - 1] - pose)[..., None]
-                self._weight[k] = self._weight[k] * self._decay + 1.0
+        for k, made in self._due(self._leads):
+            self._sum[k] *= self._decay
+            self._sum[k] += lengths(made[:, self._leads[k] - 1] - pose)[..., None]
+            self._weight[k] = self._weight[k] * self._decay + 1.0
 
     def predicted(self, forecasts: Float[np.ndarray, "E T 6 3"]) -> None:
         """Keeps what is predicted from this frame on."""
-        self._past.append(forecasts)
+        self._made.append(forecasts)
 
     def skip(self, frames: int) -> None:
         """Frames of which nothing is known."""
+        super().skip(frames)
         self.frames += frames
-        self._past.extend([None] * frames)
 
     def mean(self) -> Float[np.ndarray, "E 6 L H"]:
         """(E, 6, L, H) mean errors [m]; NaN where nothing has come due."""
@@ -183,7 +202,7 @@ class OnlineRidge:
         return np.linalg.solve(self._gram + self._prior, self._moment)
 
 
-class OnlineRegression:
+class OnlineRegression(Outstanding):
     """What forecasts leave over on one person, learned from those whose time has come.
 
     First the mixture's error ≈ Σ coefficient · (expert − mixture) + coefficient · (home − last pose), all joints alike,
@@ -197,18 +216,17 @@ class OnlineRegression:
     """
 
     def __init__(self, experts: int, steps: int) -> None:
+        super().__init__(steps)
         self._leads = tuple(sorted({min(lead, steps) for lead in REGRESSED}))
         self._at = np.array(self._leads) - 1
         self._experts = OnlineRidge(len(self._leads), experts + 1, 1, PRIORS[0])
         self._window = OnlineRidge(len(self._leads), NEWEST + 1, 9, PRIORS[1])
-        self._past: deque[tuple[tuple[np.ndarray, ...], PersonView] | None] = deque([None] * steps, maxlen=steps)
-        self._made: tuple[np.ndarray, ...] = ()
+        self._begun: tuple[np.ndarray, ...] = ()
         self._home, self._known = np.zeros((6, 3)), 0.0
 
     def observe(self, pose: Float[np.ndarray, "6 3"]) -> None:
         """Learns from what was predicted for this frame; NaN joints teach nothing. Call once a frame, first."""
-        due = [(k, self._past[-lead]) for k, lead in enumerate(self._leads)]
-        known = [(k, each[1], *(part[k] for part in each[0])) for k, each in due if each is not None]
+        known = [(k, view, *(part[k] for part in made)) for k, (made, view) in self._due(self._leads)]
         if not known or not np.isfinite(pose).all():
             return
         rows, views, *made = zip(*known, strict=True)
@@ -234,7 +252,7 @@ class OnlineRegression:
         regressors[..., :-1] = (forecasts - mixed).reshape(experts, steps, 18).transpose(1, 2, 0)
         homeward = np.minimum(np.arange(1.0, steps + 1) / HOMEWARD, 1.0)
         regressors[..., -1] = homeward[:, None] * (self._home - last).ravel()
-        self._made = mixed[self._at], lengths(mixed[self._at] - last), regressors[self._at]
+        self._begun = mixed[self._at], lengths(mixed[self._at] - last), regressors[self._at]
         learned = _between(self._leads, steps) @ self._experts.coefficients()[..., 0]
         return mixed + (regressors @ learned[..., None]).reshape(steps, 6, 3)
 
@@ -242,13 +260,9 @@ class OnlineRegression:
         self, mean: Float[np.ndarray, "T 6 3"], view: PersonView, last: Float[np.ndarray, "6 3"]
     ) -> Float[np.ndarray, "T 6 3"]:
         """What was taken of `by_experts` [m], and what it is expected to leave over; both are kept, to learn from."""
-        self._past.append(((*self._made, mean[self._at], lengths(mean[self._at] - last)), view))
+        self._made.append(((*self._begun, mean[self._at], lengths(mean[self._at] - last)), view))
         at_leads = (view.features @ self._window.coefficients()).reshape(len(self._leads), 18)
         return mean + view.to_world((_between(self._leads, len(mean)) @ at_leads).reshape(-1, 2, 9))
-
-    def skip(self, frames: int) -> None:
-        """Frames of which nothing is known."""
-        self._past.extend([None] * frames)
 
 
 @cache
