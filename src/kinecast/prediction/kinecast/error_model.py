@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from kinecast.geometry.transforms import lengths
 from kinecast.prediction.kinecast.experts import MIRROR, TRIVIAL, WindowMotion
-from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs, Outstanding
+from kinecast.prediction.kinecast.weights import JOINT_TYPE, GateInputs, Outstanding, step_basis
 from kinecast.prediction.model_file import Arrays
 
 CEILING, STRAYS = 0.75, 3.0
@@ -162,15 +162,17 @@ class AdaptiveScale(Outstanding):
     Gibbs and Candès 2021).
 
     There is a factor at each step for joints that rest, for slow and for fast ones: log factor ← log factor + rate ·
-    (share of these joints outside the 80 % region − 20 %), each time a prediction comes due. And there is an exponent
-    on the common factors, as much above one as more fall into the 50 % region, and out of the 95 % one, than should:
-    some people and trackers stay or leap, others move evenly.
+    (share of these joints outside the 80 % region − 20 %), each time a prediction comes due; smooth over the steps, as
+    drawn motions are. And there is an exponent on the common factors, as much above one as more fall into the 50 %
+    region, and out of the 95 % one, than should: some people and trackers stay or leap, others move evenly.
     """
 
     def __init__(self, model: ErrorModel, steps: int, dt: float) -> None:
         super().__init__(steps)
         self._model, self._edges = model, np.array(SPEEDS) * dt
         self._log = np.zeros((steps, len(SPEEDS) + 1))
+        basis = step_basis(steps)
+        self._smooth = basis @ np.linalg.pinv(basis)
         self._judged = np.zeros(self._log.shape)
         self._log_exponent = 0.0
 
@@ -193,15 +195,15 @@ class AdaptiveScale(Outstanding):
         z = self._model.whitened(pose - means[rows, due], scales[rows, due], rotations, due)
         radius = lengths(z) / np.exp(np.take_along_axis(self._log[due], bins, axis=1))
         inside = share_within(radius, weights, self.scales)
-        surplus = np.mean(inside <= SHARP) - SHARP + np.mean(inside > BROAD) - (1.0 - BROAD)
-        self._log_exponent = float(np.clip(self._log_exponent + RATE * surplus, -MOST_EXPONENT, MOST_EXPONENT))
-        missed = (inside > LEVEL) - (1.0 - LEVEL)
-        for k in range(self._log.shape[1]):
-            here = bins == k
-            self._judged[due, k] += here.any(axis=1)
-            rate = RATE * (1.0 + HASTE / (1.0 + self._judged[due, k] / HASTE_FRAMES))
-            moved = self._log[due, k] + rate * np.where(here, missed, 0.0).mean(axis=1)
-            self._log[due, k] = np.clip(moved, -MOST, MOST)
+        astray = np.count_nonzero(inside <= SHARP) + np.count_nonzero(inside > BROAD)
+        moved = self._log_exponent + RATE * (astray / inside.size - (SHARP + 1.0 - BROAD))
+        self._log_exponent = min(max(moved, -MOST_EXPONENT), MOST_EXPONENT)
+        here = bins[..., None] == np.arange(self._log.shape[1])
+        self._judged[due] += here.any(axis=1)
+        rate = RATE * (1.0 + HASTE / (1.0 + self._judged[due] / HASTE_FRAMES))
+        missed = ((inside > LEVEL) - (1.0 - LEVEL))[..., None]
+        self._log[due] += rate * (here * missed).mean(axis=1)
+        self._log = np.clip(self._smooth @ self._log, -MOST, MOST)
 
     def predicted(
         self,
