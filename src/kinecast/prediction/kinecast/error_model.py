@@ -28,8 +28,8 @@ SPEEDS = (0.05, 0.3)
 """What parts joints that rest, slow and fast ones [m/s]."""
 LEVEL, SHARP, BROAD = 0.8, 0.5, 0.95
 """Regions whose coverage `AdaptiveScale` holds: by its factors, and by its exponent."""
-RATE, HASTE, HASTE_FRAMES = 0.1, 2.0, 15.0
-"""How fast logs move with each miss; those of the factors so much faster at first, for about so many frames."""
+RATES = (0.07, 0.02)
+"""How fast the logs of its factors and of its exponent move with each miss."""
 MOST, MOST_EXPONENT = 3.0, 0.7
 """Most that the logs stray from zero."""
 
@@ -173,7 +173,6 @@ class AdaptiveScale(Outstanding):
         self._log = np.zeros((steps, len(SPEEDS) + 1))
         basis = step_basis(steps)
         self._smooth = basis @ np.linalg.pinv(basis)
-        self._judged = np.zeros(self._log.shape)
         self._log_exponent = 0.0
 
     def factor(self, speed: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6"]:
@@ -196,13 +195,11 @@ class AdaptiveScale(Outstanding):
         radius = lengths(z) / np.exp(np.take_along_axis(self._log[due], bins, axis=1))
         inside = share_within(radius, weights, self.scales)
         astray = np.count_nonzero(inside <= SHARP) + np.count_nonzero(inside > BROAD)
-        moved = self._log_exponent + RATE * (astray / inside.size - (SHARP + 1.0 - BROAD))
+        moved = self._log_exponent + RATES[1] * (astray / inside.size - (SHARP + 1.0 - BROAD))
         self._log_exponent = min(max(moved, -MOST_EXPONENT), MOST_EXPONENT)
         here = bins[..., None] == np.arange(self._log.shape[1])
-        self._judged[due] += here.any(axis=1)
-        rate = RATE * (1.0 + HASTE / (1.0 + self._judged[due] / HASTE_FRAMES))
         missed = ((inside > LEVEL) - (1.0 - LEVEL))[..., None]
-        self._log[due] += rate * (here * missed).mean(axis=1)
+        self._log[due] += RATES[0] * (here * missed).mean(axis=1)
         self._log = np.clip(self._smooth @ self._log, -MOST, MOST)
 
     def predicted(
