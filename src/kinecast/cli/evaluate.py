@@ -104,10 +104,11 @@ def evaluate(
         recordings = TestRecording.of(tested, options, workers)
         seen = [] if saved else unseen(read_recordings(train, format, "--train"), tested)
         compared = saved or train_methods(names, seen, options, obstacles, seed, workers)
-        if known := [each.name for each in tested if saved and each.name in saved.trained_on]:
-            note(f"the models were trained on recordings of these names, so scores may flatter them: {listed(known)}")
+        if saved and (known := {each.name for each in tested} & {*saved.names}):
+            flattered = listed([name for name, seen in saved.trained_on.items() if known & {*seen}])
+            note(f"{flattered}: trained on recordings of these names, scores may flatter: {listed(sorted(known))}")
         parts = with_ablations(compared.methods) if ablate else compared.methods
-        facts = {"scene": None if scene is None else scene.name, "train": compared.trained_on, "models": compared.files}
+        facts = {"scene": None if scene is None else scene.name, "train": compared.names, "models": compared.files}
         _score(out, parts, recordings, obstacles, replace(scores, limits=compared.limits), options, facts, workers)
 
 
@@ -154,9 +155,14 @@ class Compared(NamedTuple):
 
     methods: Mapping[str, Method[Any]]  # by the name they are reported under
     limits: JointLimits  # against which all their samples are counted
-    trained_on: Sequence[str]  # names of the recordings
+    trained_on: Mapping[str, Sequence[str]]  # names of the recordings, by name
     windows: WindowOptions  # what they are made for
     files: Mapping[str, str]  # that they were read from, by name
+
+    @property
+    def names(self) -> list[str]:
+        """Of all recordings that any was trained on."""
+        return sorted({name for names in self.trained_on.values() for name in names})
 
 
 def train_methods(
@@ -177,7 +183,8 @@ def train_methods(
     with progress_bar("training") as progress:
         found |= train_all([name for name in names if name not in found], data, seed, progress, workers)
     methods = {name: found[name] for name in names}
-    return Compared(methods, data.limits, [recording.name for recording in recordings], options, {})
+    trained_on = dict.fromkeys(names, tuple(recording.name for recording in recordings))
+    return Compared(methods, data.limits, trained_on, options, {})
 
 
 def read_models(paths: Sequence[Path], told: Mapping[str, Any]) -> Compared:
@@ -208,7 +215,7 @@ def read_models(paths: Sequence[Path], told: Mapping[str, Any]) -> Compared:
     return Compared(
         dict(zip(names, methods, strict=True)),
         reduce(JointLimits.union, held or [first.limits]),
-        sorted({name for card in cards for name in card.trained_on}),
+        {name: card.trained_on for name, card in zip(names, cards, strict=True)},
         options,
         dict(zip(names, map(str, paths), strict=True)),
     )
