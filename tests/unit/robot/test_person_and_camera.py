@@ -72,6 +72,17 @@ def test_a_mindful_person_does_not_wait_for_ever_but_draws_back_and_tries_again(
     assert hand[drawn_back:].max() > 0.6
 
 
+def test_a_mindful_person_passes_a_standing_arm_that_leaves_some_room_at_the_second_try() -> None:
+    beside = THERE._replace(capsules=THERE.capsules + 0.2 * np.eye(7)[[1, 4]].sum(axis=0))  # 4 cm from the elbow's way
+    person = ReactivePerson(mover())
+    hand = np.zeros(500)
+    for k in range(500):
+        person.mind(beside, 0.02 * k)
+        hand[k] = person.at(0.02 * k)[2, 0]
+    assert hand[100] < 1.3, "at first they stop"
+    assert hand[-1] > 1.8
+
+
 def test_the_camera_takes_every_shot_once_late_and_the_same_for_the_same_seed() -> None:
     person = mover()
     one, other = Camera(delay=0.05, seed=3), Camera(delay=0.05, seed=3)
