@@ -104,11 +104,11 @@ def evaluate(
         recordings = TestRecording.of(tested, options, workers)
         seen = [] if saved else unseen(read_recordings(train, format, "--train"), tested)
         compared = saved or train_methods(names, seen, options, obstacles, seed, workers)
-        if saved and (known := {each.name for each in tested} & {*saved.names}):
-            flattered = listed([name for name, seen in saved.trained_on.items() if known & {*seen}])
+        if saved and (known := {each.name for each in tested} & {*saved.recordings}):
+            flattered = listed([name for name, own in saved.trained_on.items() if known & {*own}])
             note(f"{flattered}: trained on recordings of these names, scores may flatter: {listed(sorted(known))}")
         parts = with_ablations(compared.methods) if ablate else compared.methods
-        facts = {"scene": None if scene is None else scene.name, "train": compared.names, "models": compared.files}
+        facts = {"scene": None if scene is None else scene.name, "train": compared.recordings, "models": compared.files}
         _score(out, parts, recordings, obstacles, replace(scores, limits=compared.limits), options, facts, workers)
 
 
@@ -160,9 +160,9 @@ class Compared(NamedTuple):
     files: Mapping[str, str]  # that they were read from, by name
 
     @property
-    def names(self) -> list[str]:
-        """Of all recordings that any was trained on."""
-        return sorted({name for names in self.trained_on.values() for name in names})
+    def recordings(self) -> list[str]:
+        """Names of all that any was trained on."""
+        return sorted({name for own in self.trained_on.values() for name in own})
 
 
 def train_methods(

@@ -368,7 +368,7 @@ class TestErrorModel:
             z.append(model.whitened(own, model.scale(feature), turns, steps))
         weights = np.repeat([model.weights(feature) for feature in features], 3, axis=0)
         inside = share_within(np.linalg.norm(z, axis=-1).reshape(-1, 6), weights).reshape(-1, 3, 6)
-        for level in (SHARP, LEVEL, BROAD):
+        for level in (SHARP, LEVEL, 0.9, BROAD):
             np.testing.assert_allclose((inside < level).mean(axis=(0, 2)), level, atol=0.03)
         spread = np.reshape(z, (-1, 3)).std(axis=0)
         np.testing.assert_allclose(spread / spread.mean(), 1.0, atol=0.1)  # the axes' own sizes are gone

@@ -28,7 +28,7 @@ SPEEDS = (0.05, 0.3)
 """What parts joints that rest, slow and fast ones [m/s]."""
 LEVEL, SHARP, BROAD = 0.8, 0.5, 0.95
 """Regions whose coverage `AdaptiveScale` holds: by its factors, and by its exponent."""
-RATES = (0.07, 0.02)
+RATE, EXPONENT_RATE = 0.07, 0.02
 """How fast the logs of its factors and of its exponent move with each miss."""
 MOST, MOST_EXPONENT = 3.0, 0.7
 """Most that the logs stray from zero."""
@@ -171,8 +171,6 @@ class AdaptiveScale(Outstanding):
         super().__init__(steps)
         self._model, self._edges = model, np.array(SPEEDS) * dt
         self._log = np.zeros((steps, len(SPEEDS) + 1))
-        basis = step_basis(steps)
-        self._smooth = basis @ np.linalg.pinv(basis)
         self._log_exponent = 0.0
 
     def factor(self, speed: Float[np.ndarray, "6"]) -> Float[np.ndarray, "T 6"]:
@@ -195,12 +193,12 @@ class AdaptiveScale(Outstanding):
         radius = lengths(z) / np.exp(np.take_along_axis(self._log[due], bins, axis=1))
         inside = share_within(radius, weights, self.scales)
         astray = np.count_nonzero(inside <= SHARP) + np.count_nonzero(inside > BROAD)
-        moved = self._log_exponent + RATES[1] * (astray / inside.size - (SHARP + 1.0 - BROAD))
+        moved = self._log_exponent + EXPONENT_RATE * (astray / inside.size - (SHARP + 1.0 - BROAD))
         self._log_exponent = min(max(moved, -MOST_EXPONENT), MOST_EXPONENT)
         here = bins[..., None] == np.arange(self._log.shape[1])
         missed = ((inside > LEVEL) - (1.0 - LEVEL))[..., None]
-        self._log[due] += RATES[0] * (here * missed).mean(axis=1)
-        self._log = np.clip(self._smooth @ self._log, -MOST, MOST)
+        self._log[due] += RATE * (here * missed).mean(axis=1)
+        self._log = np.clip(_smoothing(len(self._log)) @ self._log, -MOST, MOST)
 
     def predicted(
         self,
@@ -215,6 +213,13 @@ class AdaptiveScale(Outstanding):
         Mean [m], scale, rotation of the person's axes, weights of common factors, speed of the joints [m per frame].
         """
         self._made.append((mean, scale, rotation, weights, np.searchsorted(self._edges, speed)))
+
+
+@cache
+def _smoothing(steps: int) -> Float[np.ndarray, "T T"]:
+    """(T, T) takes what there is at each step to the nearest that `step_basis` can say."""
+    basis = step_basis(steps)
+    return np.asarray(basis @ np.linalg.pinv(basis))
 
 
 def inverse_ceiling(reach: Float[np.ndarray, "3 T"], shape: Float[np.ndarray, "3 T 3 3"]) -> Float[np.ndarray, "3 T"]:
